@@ -175,11 +175,6 @@ def _adopted(
     repair_degrees(urdf)
     use_led_joints(urdf)
     anatomy = find_anatomy(urdf, shapes, **sides)
-    if not anatomy.sideways and not anatomy.waist:
-        raise ModelError(
-            f"the legs ({anatomy.kinds}) cannot move the pelvis sideways over flat soles, because no ankle rolls, and "
-            "no waist could move the CoM over one sole"
-        )
     check_density(str(path), urdf, anatomy.leg)
     repair_inertias(urdf, shapes, anatomy.leg)
     anatomy = replace(anatomy, pelvis=_add_frames(urdf, anatomy))

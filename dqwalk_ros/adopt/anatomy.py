@@ -202,8 +202,8 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
     lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
     if not lowest.keys() & skeleton.joints.keys():
         how = (
-            f"{skeleton.lacking}: give --package-path"
-            if skeleton.lacking
+            f"{skeleton.lacking()}: give --package-path"
+            if skeleton.lacking()
             else ": add a box as <collision> to each foot"
         )
         raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
@@ -243,7 +243,7 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
             what = "no leg reaches the ground"
         raise _NoLegsError(
             f"the robot is not a biped: no two chains of joints that mirror each other reach the ground in the zero "
-            f"posture ({what}){skeleton.lacking}; name its feet with --left and --right"
+            f"posture ({what}){skeleton.lacking()}; name its feet with --left and --right"
         )
     return pairs[0]
 
@@ -337,9 +337,7 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
     left, right = (_leg(skeleton, joints) for joints in legs.values())
     hip, ankle = 0.5 * (left.hip + right.hip), 0.5 * (left.ankle + right.ankle)
-    soles = find_soles(skeleton, legs, float(hip[2] - ankle[2]))
     toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
-    ground = float(np.mean([sole.placed(skeleton).translation()[2] for sole in soles.values()]))
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
     parents = {urdf.joints[leg[0]].parent for leg in legs.values()}
     pelvis = parents.pop() if len(parents) == 1 else skeleton.heaviest(pelvis_body)
@@ -348,8 +346,15 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     waist = tuple(joint for joint in skeleton.way(torso_body) if joint not in skeleton.way(pelvis_body))
     arms = {foot: tuple(joint for joint in skeleton.chain[hand] if joint not in waist) for foot, hand in hands.items()}
     imu = _find_imu(skeleton, pelvis_body, torso_body)
+    sideways, turns = _freedom(skeleton, legs, float(hip[2] - ankle[2]))
+    if not sideways and not waist:
+        raise ModelError(
+            f"the legs ({kinds}) cannot move the pelvis sideways over flat soles, because no ankle rolls, and no waist "
+            "could move the CoM over one sole"
+        )
+    soles = find_soles(skeleton, legs, float(hip[2] - ankle[2]))
+    ground = float(np.mean([sole.placed(skeleton).translation()[2] for sole in soles.values()]))
     height = float(hip[2] - ground)
-    sideways, turns = _freedom(skeleton, legs, height)
     does = [text for can, text in ((sideways, "move sideways over flat soles"), (turns, "turn the feet")) if can]
     chosen = "given by --left and --right" if named else "the chains that mirror each other and reach the ground"
     evidence = [
@@ -531,12 +536,12 @@ def _find_forward(
         total, source, confidence = given, "given by --forward", "sure"
     else:
         total = sum(weight for weight, _ in votes)
-        if total == 0.0:
-            raise ModelError("the forward direction cannot be found: give --forward, such as +x or -x of the root link")
         agree = [text for weight, text in votes if weight * total > 0.0]
         against = [text for weight, text in votes if weight * total < 0.0]
         source = ", ".join(agree) + (f"; against it: {', '.join(against)}" if against else "")
         confidence = "sure" if abs(total) >= 3.0 and not against else "likely" if abs(total) >= 2.0 else "guess"
+        if total == 0.0:  # it walks either way
+            total, source = float(ahead @ (root[:, 0] + root[:, 1])), "nothing shows it: give --forward if it is wrong"
     if total < 0.0:
         ahead, one, two = -ahead, two, one
     where = root.T @ ahead

@@ -137,13 +137,14 @@ def use_led_joints(urdf: Urdf) -> None:
         after = [other for other in urdf.joints.values() if other.parent in carried[leader.name]]
         free = [other for other in after if moves(other) and not other.mimic]
         mass, less = (sum(urdf.links[link].inertial.mass for link in carried[j.name]) for j in (joint, leader))
-        if free or leader.child in carried[joint.name] or mass <= less:
+        if free or mass <= less:
             continue
         ends = [led.multiplier * end + led.offset for end in (leader.limit.lower, leader.limit.upper)]
         joint.limit.lower, joint.limit.upper = max(min(ends), joint.limit.lower), min(max(ends), joint.limit.upper)
         if not joint.limit.lower < joint.limit.upper:
             joint.limit.lower, joint.limit.upper = min(ends), max(ends)
         inverse, offset = 1.0 / led.multiplier, -led.offset / led.multiplier
+        joint.limit.effort = min(joint.limit.effort, abs(inverse) * leader.limit.effort)
         for other in urdf.joints.values():
             mimic = other.mimic
             if mimic and mimic.joint == leader.name and other is not joint:

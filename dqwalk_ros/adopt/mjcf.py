@@ -17,18 +17,19 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.robot.packages import is_pointer
+from dqwalk_ros.robot.packages import find_package_file, is_pointer
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
 __all__ = ["MjcfDrive", "is_mjcf", "load_mjcf"]
 
+_CARRIED = 0.2
+"""Least mass that a joint of a limb carries, as a fraction of that of another joint of its loop; rods carry less."""
 _TETRAHEDRON = [0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001]
 """Corners of a small mesh in the place of a missing one [m]."""
-_HEAD = 1 << 16
-"""Number of bytes in which the outermost element begins."""
-_ROOT = re.compile(rb"(\s|<\?.*?\?>|<!--.*?-->)*<mujoco[\s>]", re.DOTALL)
+_HOLLOW = re.compile(r"mesh volume is too small: (.+?) \.")
+"""What MuJoCo says of a mesh that encloses no volume; its name."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,8 @@ class MjcfDrive:
 def is_mjcf(path: pathlib.Path) -> bool:
     """Return whether a file is MJCF: its outermost element is <mujoco>."""
     try:
-        with path.open("rb") as file:
-            return _ROOT.match(file.read(_HEAD)) is not None
-    except OSError:
+        return bool(next(root.tag for _, root in ElementTree.iterparse(path, ["start"])) == "mujoco")
+    except (OSError, ElementTree.ParseError, StopIteration, ValueError):
         return False  # what reads it says so
 
 
@@ -66,7 +66,8 @@ def load_mjcf(path: pathlib.Path) -> tuple[Urdf, dict[str, MjcfDrive]]:
     Raises
     ------
     ModelError
-        If MuJoCo is not installed or refuses the file, the file has no robot, or its links form loops.
+        If MuJoCo is not installed or refuses the file, a mass follows from a mesh that cannot be read, the file has no
+        robot, or actuated joints form a loop.
     """
     try:
         import mujoco
@@ -77,11 +78,30 @@ def load_mjcf(path: pathlib.Path) -> tuple[Urdf, dict[str, MjcfDrive]]:
     except (ValueError, RuntimeError, OSError) as error:
         raise ModelError(f"MuJoCo refuses '{path}': {' '.join(str(error).split())[:300]}") from error
     lost = _replace_missing(path, spec)
-    try:
-        mj = spec.compile()
-    except (ValueError, RuntimeError) as error:
-        raise ModelError(f"MuJoCo refuses '{path}': {' '.join(str(error).split())[:300]}") from error
+    for body in spec.bodies:
+        for geom in () if body.explicitinertial else body.geoms:
+            file = lost.get(geom.meshname)
+            if file is not None and geom.density > 0.0 and not math.isfinite(geom.mass):
+                why = "is a Git LFS pointer: run 'git lfs pull' in its repository" if file.is_file() else "is not found"
+                raise ModelError(f"'{path}': the mass of '{body.name}' follows from the mesh '{file}', which {why}")
+    for element in (*spec.pairs, *spec.keys, *spec.sensors):  # of a scene; they may name what is not in this file
+        spec.delete(element)
+    hollow: list[str] = []
+    while True:
+        try:
+            mj = spec.compile()
+            break
+        except (ValueError, RuntimeError) as error:
+            text = " ".join(str(error).split())
+            found = _HOLLOW.search(text)
+            if found is None or found[1] in hollow:
+                raise ModelError(f"MuJoCo refuses '{path}': {text[:300]}") from error
+            hollow.append(found[1])
+            for mesh in spec.meshes:
+                if (mesh.name or pathlib.Path(mesh.file).stem) == found[1]:
+                    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     conversion = _Conversion(path, mujoco, spec, mj, lost)
+    conversion.repairs += [f"the mesh '{name}' encloses no volume: taken as a shell" for name in hollow]
     urdf = Urdf(conversion.text(), str(path))
     # the lines are those of the conversion
     urdf.repairs = [*conversion.repairs, *(re.sub(r"^line \d+: ", "", text) for text in urdf.repairs)]
@@ -89,8 +109,9 @@ def load_mjcf(path: pathlib.Path) -> tuple[Urdf, dict[str, MjcfDrive]]:
 
 
 def _mesh_file(path: pathlib.Path, spec: Any, mesh: Any) -> pathlib.Path:
-    folder = pathlib.Path(spec.modelfiledir or path.parent)
-    return folder / str(spec.meshdir or "") / str(mesh.file)
+    """Return the file of a mesh: the named one, or if it does not exist that of the same name near the MJCF file."""
+    named = pathlib.Path(spec.modelfiledir or path.parent) / str(spec.meshdir or "") / str(mesh.file)
+    return named if named.is_file() else find_package_file(str(mesh.file), path) or named
 
 
 def _replace_missing(path: pathlib.Path, spec: Any) -> dict[str, pathlib.Path]:
@@ -101,7 +122,9 @@ def _replace_missing(path: pathlib.Path, spec: Any) -> dict[str, pathlib.Path]:
     lost = {}
     for mesh in spec.meshes:
         file = _mesh_file(path, spec, mesh)
-        if mesh.file and (not file.is_file() or is_pointer(file)):
+        if mesh.file and file.is_file() and not is_pointer(file):
+            mesh.file = str(file.resolve())
+        elif mesh.file:
             lost[mesh.name or file.stem] = file
             mesh.name, mesh.file = mesh.name or file.stem, ""
             mesh.uservert, mesh.userface = _TETRAHEDRON, [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]
@@ -117,22 +140,17 @@ class _Conversion:
         self.drives: dict[str, MjcfDrive] = {}
         self._robot = ElementTree.Element("robot", {"name": spec.modelname or path.stem})
         self._offset: dict[int, Array] = {}  # position of the origin of a body's link in the body [m]
+        self._fixed: set[int] = set()  # joints of linkages
+        self._motors: dict[int, list[int]] = {}  # joints with actuators that move a joint through a linkage
         self._names = {body: mj.body(body).name or f"body_{body}" for body in range(1, mj.nbody)}
 
     def text(self) -> str:
         """Return the description as URDF."""
-        mj, types = self._mj, self._mujoco.mjtEq
+        mj = self._mj
         root = self._root()
         inside = [body for body in range(1, mj.nbody) if mj.body_rootid[body] == root]
-        for k in range(mj.neq):
-            if _is(mj.eq_type[k], types.mjEQ_CONNECT, types.mjEQ_WELD) and mj.eq_active0[k]:
-                ends = self._ends(k)
-                if all(mj.body_rootid[end] == root for end in ends):
-                    a, b = (self._names[end] for end in ends)
-                    raise ModelError(
-                        f"'{self._path}': '{a}' and '{b}' close a loop of links; only trees of links can walk"
-                    )
-        driven = {self._joint_of(k) for k in range(mj.nu)} - {None}
+        driven = {joint for joint in map(self._joint_of, range(mj.nu)) if joint is not None}
+        self._open_loops(set(inside), driven)
         for body in inside:
             self._add_body(body, root, driven)
         for site in range(mj.nsite):
@@ -156,6 +174,48 @@ class _Conversion:
             self.repairs.append(f"bodies on the world besides '{self._names[root]}' are left out: {', '.join(others)}")
         return root
 
+    def _open_loops(self, inside: set[int], driven: set[int]) -> None:
+        """Open the loops of links: the limb's own joints are taken as driven, those of its linkage as fixed.
+
+        A crank and its rods carry little beside a limb. A limb with more joints than its loops have actuators is not
+        moved by its joints one by one: they are all fixed.
+        """
+        mj, types = self._mj, self._mujoco.mjtEq
+        loops: list[tuple[set[int], set[int]]] = []  # joints of each, and those of its limbs
+        for k in range(mj.neq):
+            ends = self._ends(k) if _is(mj.eq_type[k], types.mjEQ_CONNECT, types.mjEQ_WELD) else ()
+            if not ends or not mj.eq_active0[k] or not inside.issuperset(ends):
+                continue
+            joints = self._joints_to(ends[0]) ^ self._joints_to(ends[1])
+            carried = {j: float(mj.body_subtreemass[mj.jnt_bodyid[j]]) for j in joints}
+            limbs = {j for j in joints if carried[j] > _CARRIED * max(carried.values())}
+            others = [loop for loop in loops if loop[0] & joints]
+            loops = [loop for loop in loops if loop not in others]
+            loops.append((joints.union(*(loop[0] for loop in others)), limbs.union(*(loop[1] for loop in others))))
+        for joints, limbs in loops:
+            if not joints - (driven or limbs):
+                what = ", ".join(map(self._joint_name, sorted(joints)))
+                raise ModelError(f"'{self._path}': {what} are in a loop of links; only trees of links can walk")
+            motors, names = joints & driven, ", ".join(map(self._joint_name, sorted(limbs)))
+            moved = not driven or len(limbs) <= len(motors)
+            self.repairs.append(
+                f"a loop of links moves {names}: taken as driven directly, its linkage as fixed"
+                if moved
+                else f"a loop of links has the joints {names} and {len(motors)} actuators: all taken as fixed"
+            )
+            self._fixed |= joints - limbs if moved else joints
+            if moved:
+                self._motors |= {j: sorted(motors - limbs) for j in limbs - driven}
+                driven |= limbs
+
+    def _joints_to(self, body: int) -> set[int]:
+        """Return the joints that move a body."""
+        mj, out = self._mj, set[int]()
+        while body:
+            out |= {*range(mj.body_jntadr[body], mj.body_jntadr[body] + mj.body_jntnum[body])}
+            body = int(mj.body_parentid[body])
+        return out
+
     def _ends(self, equality: int) -> tuple[int, int]:
         mj = self._mj
         ids = int(mj.eq_obj1id[equality]), int(mj.eq_obj2id[equality])
@@ -169,7 +229,7 @@ class _Conversion:
         on_joint = _is(mj.actuator_trntype[actuator], types.mjTRN_JOINT, types.mjTRN_JOINTINPARENT)
         return int(mj.actuator_trnid[actuator, 0]) if on_joint else None
 
-    def _add_body(self, body: int, root: int, driven: set[int | None]) -> None:
+    def _add_body(self, body: int, root: int, driven: set[int]) -> None:
         mj, name = self._mj, self._names[body]
         parent = int(mj.body_parentid[body])
         joints = [*range(mj.body_jntadr[body], mj.body_jntadr[body] + mj.body_jntnum[body])]
@@ -203,7 +263,7 @@ class _Conversion:
     def _joint_name(self, joint: int) -> str:
         return str(self._mj.joint(joint).name or f"joint_{joint}")
 
-    def _usable(self, joint: int, driven: set[int | None]) -> bool:
+    def _usable(self, joint: int, driven: set[int]) -> bool:
         types = self._mujoco.mjtJoint
         kind, name = self._mj.jnt_type[joint], self._joint_name(joint)
         led = any(
@@ -212,6 +272,8 @@ class _Conversion:
         )
         if not _is(kind, types.mjJNT_HINGE, types.mjJNT_SLIDE):
             self.repairs.append(f"joint '{name}' is a ball or free joint: taken as fixed")
+        elif joint in self._fixed:
+            pass  # `_open_loops` says so
         elif driven and joint not in driven and not led:
             self.repairs.append(f"joint '{name}' has no actuator, others have one: taken as fixed")
         else:
@@ -228,7 +290,7 @@ class _Conversion:
         efforts = [float(np.abs(mj.jnt_actfrcrange[joint]).max())] if mj.jnt_actfrclimited[joint] else []
         stiffness, damping = 0.0, float(np.atleast_1d(mj.dof_damping[dof])[0])
         for k in range(mj.nu):
-            if self._joint_of(k) != joint:
+            if self._joint_of(k) not in (joint, *self._motors.get(joint, ())):
                 continue
             gear = abs(float(mj.actuator_gear[k, 0]))
             gain, bias = float(mj.actuator_gainprm[k, 0]), mj.actuator_biasprm[k]

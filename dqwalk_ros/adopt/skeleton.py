@@ -139,10 +139,9 @@ class Skeleton:
         found = [self.pose(link).transform_point(corners) for link, corners in hulls.items()]
         return (np.concatenate(found) if found else None), which
 
-    @property
-    def lacking(self) -> str:
-        """Text for messages that names a mesh that could not be read; empty if all were read."""
-        missing = self._shapes.missing
+    def lacking(self, links: Sequence[str] | None = None) -> str:
+        """Return text for messages that names a mesh of some links that cannot be read; empty if all can."""
+        missing = self._shapes.missing if links is None else self._shapes.unread(links)
         return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
 
     def complete(self, links: Sequence[str]) -> tuple[str, dict[str, str]]:

@@ -84,7 +84,8 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
         if min(sole.length, sole.width) < _LEAST_SOLE * leg:
             raise ModelError(
                 f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
-                f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles{skeleton.lacking}"
+                f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles"
+                f"{skeleton.lacking(foot_links(skeleton, legs[foot][-1]))}"
             )
     left, right = (found[foot] for foot in Foot)
     turn = float(np.linalg.norm((left.placed(skeleton).conj() * right.placed(skeleton)).rotation_vector()))
@@ -120,7 +121,9 @@ def _sole(skeleton: Skeleton, ankle: str, leg: float, which: str) -> FoundSole:
     p, which = skeleton.points(links, which)
     foot = skeleton.joints[ankle].child
     if p is None:
-        raise ModelError(f"the foot '{foot}' has no shape that can be read, so its sole is unknown{skeleton.lacking}")
+        raise ModelError(
+            f"the foot '{foot}' has no shape that can be read, so its sole is unknown{skeleton.lacking(links)}"
+        )
     normal, level, even = plane_below(p)
     near = p[(p - level) @ normal < min(_FLAT, 0.02 * leg)]
     x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
@@ -133,7 +136,9 @@ def _sole(skeleton: Skeleton, ankle: str, leg: float, which: str) -> FoundSole:
         raise ModelError(f"this biped stands on points or edges: the foot '{foot}' has no flat area") from None
     x0, x1, y0, y1 = _rectangle(hull)
     if even < _EVEN:
-        raise ModelError(f"this biped stands on points or edges: the foot '{foot}' is round below{skeleton.lacking}")
+        raise ModelError(
+            f"this biped stands on points or edges: the foot '{foot}' is round below{skeleton.lacking(links)}"
+        )
     center = level + np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0]) @ axes
     tilt = math.degrees(math.acos(min(1.0, normal[2])))
     share = (x1 - x0) * (y1 - y0) / hull.volume

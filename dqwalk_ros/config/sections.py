@@ -283,7 +283,7 @@ class ServoConfig:
     voltage: float = parameter(12.0, "supply voltage of the servos of servo.types; larger: more torque", "V", 1.0, 60.0)
 
     stiffness: float = parameter(
-        60.0, "torque per position error; larger: stiffer (MX-28: 6 to 51)", "N m/rad", 0.1, 1e4
+        60.0, "torque per position error; larger: stiffer (MX-28: 6 to 51)", "N m/rad", 0.1, 1e6
     )
     damping: float = parameter(
         0.02, "torque per joint velocity, divided by the stiffness; larger: more lag", "s", 0.0, 1.0
@@ -299,7 +299,7 @@ class ServoConfig:
         0.15, "largest distance of goal and expected angle; smaller: yields more, larger: more torque", "rad", 1e-3, 3.0
     )
     assumed_stiffness: float = parameter(
-        60.0, "stiffness that converts torques to position offsets; 0: no feedforward", "N m/rad", 0.0, 1e4
+        60.0, "stiffness that converts torques to position offsets; 0: no feedforward", "N m/rad", 0.0, 1e6
     )
     assumed_damping: float = parameter(
         0.0, "damping assumed, divided by the stiffness; above the true one the robot falls", "s", 0.0, 0.2

@@ -61,7 +61,9 @@ def expanded(
                 f"'{path}' needs the ROS package '{missing[0]}', which is not installed: give --package-path of the "
                 "folder that contains it"
             ) from error
-        raise ModelError(f"xacro refuses '{path}': {' '.join(str(error).split())[:300]}") from error
+        why = " ".join(str(error).split())[:300]
+        why += "; save it, and the files that it includes, as UTF-8" if isinstance(error, UnicodeError) else ""
+        raise ModelError(f"xacro refuses '{path}': {why}") from error
     finally:
         substitution_args._eval_find = original
 
@@ -95,19 +97,20 @@ def find_package_file(
     near = pathlib.Path(near)
     scheme, separator, rest = uri.partition("://")
     if not separator:
-        found = [near.parent / uri]
+        rest, found = uri, [near.parent / uri]
     elif scheme in ("package", "model"):
         package, _, inside = rest.partition("/")
         more = [pathlib.Path(place) for place in places]
         folder = _package(package, near)
         found = [*(place / package / inside for place in more), *(place / inside for place in more)]
         found += [folder / inside] if folder else []
-        # a package that was copied under another name, or only in part
-        parts = pathlib.PurePosixPath(rest.lstrip("/")).parts
-        tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1)]
-        found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
     else:
-        found = [pathlib.Path(rest), pathlib.Path(urllib.parse.unquote(rest))]
+        rest = urllib.parse.unquote(rest)
+        found = [pathlib.Path(uri.partition("://")[2]), pathlib.Path(rest)]
+    # a package that was copied under another name or in part, and the path of another machine
+    parts = pathlib.PurePosixPath(rest.replace("\\", "/").lstrip("/")).parts
+    tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1) if ".." not in parts[k:]]
+    found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
     return next((place for place in found if _is_file(place)), None)
 
 

@@ -121,6 +121,11 @@ class Shapes:
             lost = lost or {mesh: why for part in missing for mesh, why in part.items()}
         return "", lost
 
+    def unread(self, names: Sequence[str]) -> dict[str, str]:
+        """Return the reason for each mesh of some links that cannot be read."""
+        links = ((name, self._links[name]) for name in names)
+        return {k: v for name, link in links for k, v in self._unread(name, (*link.collisions, *link.visuals)).items()}
+
     def _unread(self, name: str, shapes: Sequence[Visual | Collision]) -> dict[str, str]:
         """Return the reason for each mesh among some shapes of a link that cannot be read."""
         lost = [shape for shape in shapes if self.surface(self._links[name], shape) is None]

@@ -13,6 +13,7 @@ import io
 import math
 import os
 import pathlib
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Urdf", "moves", "pose_at", "pose_of", "zero_pose"]
 
+_XACRO = re.compile(rb"<xacro:|\$[({]")
+"""What only xacro understands; exporters declare its namespace in files without any of it."""
 _NO_LIMIT = 1e9
 """Number that is written for an infinite limit: the default of a URDF is zero."""
 _DECIMALS = 14
@@ -137,7 +140,7 @@ class Urdf:
                 data = file.read(MOST_BYTES + 1)
         except OSError as error:
             raise ModelError(f"cannot read '{path}': {error.strerror}") from error
-        if path.suffix == ".xacro" or b"ros.org/wiki/xacro" in data[:4000]:
+        if path.suffix == ".xacro" or (b"ros.org/wiki/xacro" in data[:4000] and _XACRO.search(data)):
             data = expanded(path, packages, arguments or {})
         elif arguments:
             raise ModelError(f"'{path}' is not a xacro file, so it has no argument '{next(iter(arguments))}'")

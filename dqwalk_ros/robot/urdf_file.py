@@ -114,6 +114,11 @@ def _parsed(data: bytes | str, source: str) -> ElementTree.Element:
     name = declared[1].decode().lower() if declared else ""
     if encoding is None and name in _EAST_ASIAN:
         content, encoding = content.decode(name, "replace").encode(), "utf-8"
+    elif encoding is None and name in ("", "utf-8"):
+        try:
+            content.decode()
+        except UnicodeDecodeError:  # a file saved on Windows, whose names and comments are in its encoding
+            encoding = "iso-8859-1"
     parser = expat.ParserCreate(encoding)
     document = _Element("")
     stack: list[_Element | None] = [document]

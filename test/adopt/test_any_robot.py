@@ -153,8 +153,16 @@ def test_limits_that_do_not_mirror_each_other_are_doubted(tmp_path: Path) -> Non
     assert "limits of the legs" not in {entry.what for entry in anatomy_of(Urdf.load(SMALL)).evidence}
 
 
+CHEST = (
+    '<link name="chest"/><joint name="waist" type="revolute"><parent link="trunk"/><child link="chest"/>'
+    '<axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="4" velocity="6"/></joint></robot>'
+)
+
+
 def test_legs_without_ankle_roll_stand_as_far_apart_as_in_the_zero_posture(tmp_path: Path) -> None:
-    urdf = read(tmp_path, (r'(name="._ankle_roll" type=)"revolute"', r'\1"fixed"'))
+    rolls = r'(name="._ankle_roll" type=)"revolute"', r'\1"fixed"'
+    arms = r'<parent link="trunk"/>(\s*<child link="._upper_arm"/>)', r'<parent link="chest"/>\1'
+    urdf = read(tmp_path, rolls, arms, ("</robot>", CHEST))
     for side, sign in (("l", 1.0), ("r", -1.0)):
         urdf.joints[f"{side}_hip_pitch"].origin[1, 3] += sign * 0.06
     found = anatomy_of(urdf)
@@ -481,7 +489,63 @@ def test_joints_of_the_legs_without_torque_limit_or_that_slide_are_said(tmp_path
     assert said("locked in the legs", rails, ankles) == "l_slide, r_slide"
 
 
+def test_a_servo_that_rides_on_the_limb_that_it_turns_follows_it(tmp_path: Path) -> None:
+    """Its gear meshes with one of the link before: the limb mimics a joint that it carries."""
+    gear = (
+        '<link name="l_gear"><inertial><mass value="0.01"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6"/></inertial>'
+        '</link><joint name="l_gear_joint" type="revolute"><parent link="{}"/><child link="l_gear"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="4" velocity="6"/></joint></robot>'
+    )
+    carried = Urdf.load(SMALL).joints["l_hip_yaw"].child
+    mimic = '<mimic joint="l_gear_joint" multiplier="-2"/>'
+    urdf = read(
+        tmp_path, ("</robot>", gear.format(carried)), (r'(<joint name="l_hip_yaw".*?<limit[^>]*>)', rf"\1{mimic}")
+    )
+    use_led_joints(urdf)
+    assert "l_hip_yaw" in anatomy_of(urdf).legs[Foot.LEFT]
+    assert urdf.joints["l_hip_yaw"].limit.effort <= 2.0
+
+
 # ---------------------------------------------------------------------- the way in, and what is said
+
+
+def test_files_of_other_encodings_and_with_the_name_space_of_xacro_are_read(tmp_path: Path) -> None:
+    """An exporter declares xacro's name space without need, and writes names in the encoding of Windows."""
+    text = SMALL.read_text().replace(
+        "<robot ", '<!-- Robot b\u00edpedo --><robot xmlns:xacro="http://www.ros.org/wiki/xacro" '
+    )
+    (tmp_path / "robot.urdf").write_bytes(text.encode("cp1252"))
+    assert anatomy_of(Urdf.load(tmp_path / "robot.urdf")).kinds == "YRPPPR"
+
+
+def test_a_robot_without_front_and_back_walks_along_an_axis_of_its_root(tmp_path: Path) -> None:
+    urdf = Urdf.load(SMALL)
+    names = {name: f"j{k}" for k, name in enumerate(urdf.joints)} | {name: f"b{k}" for k, name in enumerate(urdf.links)}
+    centred = (
+        r'<origin xyz="[-\d.]+( [-\d.]+ [-\d.]+)"/>\s*(<geometry>\s*<box size="0.1265)',
+        r'<origin xyz="0\1"/>\2',
+    )
+    path = edited(tmp_path, SMALL, *((rf'"{re.escape(old)}"', f'"{new}"') for old, new in names.items()), centred)
+    urdf = Urdf.load(path)
+    moved(urdf, urdf.root, at([0.0, 0.0, 0.0], DQ.rotation_about(0.5 * math.pi, Z).rotation_matrix()))
+    ahead = next(entry for entry in anatomy_of(urdf).evidence if entry.what == "ahead")
+    assert ahead.confidence == "guess"
+    assert "give --forward" in ahead.source
+
+
+def test_legs_without_ankle_roll_and_waist_are_refused_for_that_whatever_their_feet_are(tmp_path: Path) -> None:
+    rolls, round_ = (
+        (r'(name="._ankle_roll" type=)"revolute"', r'\1"fixed"'),
+        ("<box [^>]*0132[^>]*>", '<sphere radius="0.03"/>'),
+    )
+    with pytest.raises(ModelError, match="no ankle rolls, and no waist"):
+        anatomy_of(read(tmp_path, rolls, round_))
+
+
+def test_a_round_foot_is_not_blamed_on_a_mesh_of_another_link(tmp_path: Path) -> None:
+    lost = r'(<link name="trunk">.*?<geometry>\s*)<box [^>]*/>', r'\1<mesh filename="lost.stl"/>'
+    with pytest.raises(ModelError, match=r"round below$"):
+        anatomy_of(read(tmp_path, ("<box [^>]*0132[^>]*>", '<sphere radius="0.03"/>'), lost))
 
 
 def test_xacro_finds_packages_and_takes_arguments(tmp_path: Path) -> None:

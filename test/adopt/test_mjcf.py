@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import adopt
@@ -40,6 +41,10 @@ def test_mjcf_is_recognized_by_its_root(tmp_path: Path) -> None:
     assert not is_mjcf(SMALL.with_suffix(".none"))
     (tmp_path / "a.urdf").write_text('<robot name="a"><mujoco><compiler/></mujoco></robot>')
     assert not is_mjcf(tmp_path / "a.urdf")
+    comments = "<!-- generated --><!-- - - -->\n" * 40  # as xacro writes them, in a time that does not grow with 2^n
+    for root, expected in (("robot", False), ("mujoco", True)):
+        (tmp_path / "b.xml").write_text(f'<?xml version="1.0"?>\n{comments}<{root} name="b"/>')
+        assert is_mjcf(tmp_path / "b.xml") is expected
 
 
 @pytest.mark.parametrize("reference", ["", ' ref="20"'])
@@ -101,7 +106,7 @@ def test_position_gains_are_the_stiffness_unless_they_are_too_soft_to_stand(tmp_
 REFUSED = {
     "a loop": (
         (r"</mujoco>", '<equality><connect body1="left_foot" body2="right_foot" anchor="0 0 0"/></equality></mujoco>'),
-        "'left_foot' and 'right_foot' close a loop of links",
+        r"left_hip_yaw, .*, right_ankle_roll are in a loop of links",
     ),
     "an arm": ((r"<freejoint/>.*?<site", '<geom type="box" size="1 1 1"/><site'), "stands on its base"),
     "no body": ((r'<body name="crate".*</worldbody>.*</actuator>', "</worldbody>"), "has no body, so no robot"),
@@ -131,6 +136,56 @@ def test_a_missing_mesh_of_a_trunk_is_said_and_that_of_a_foot_is_an_error(tmp_pa
     urdf, _ = load_mjcf(path)
     with pytest.raises(ModelError, match=r"m\.stl' not found"):
         find_anatomy(urdf, Shapes(urdf, path))
+
+
+def test_what_follows_from_a_missing_mesh_is_named_and_a_file_of_another_machine_is_found(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.1, 0.12, 0.14))
+    (tmp_path / "meshes").mkdir()
+    asset = (r"<worldbody>", r'<asset><mesh name="m" file="C:/Users/me/robot/meshes/m.stl"/></asset><worldbody>')
+    path = edited(
+        tmp_path, asset, (r'type="box" size="0.05 0.06 0.07" pos="0 0 0.08" mass="1.6"', 'type="mesh" mesh="m"')
+    )
+    with pytest.raises(ModelError, match=r"the mass of 'trunk' follows from the mesh '.*m\.stl', which is not found"):
+        load_mjcf(path)
+    box.export(tmp_path / "meshes" / "m.stl")
+    urdf, _ = load_mjcf(path)
+    assert urdf.links["trunk"].inertial.mass == pytest.approx(1000.0 * box.volume, rel=1e-3)
+    (name,) = Shapes(urdf, path).of("trunk", "collisions")
+    assert name.what == "m.stl"
+
+
+def test_what_a_scene_has_beside_the_robot_is_not_needed(tmp_path: Path) -> None:
+    """A pair of contacts with the floor of another file, a keyframe of another size, and a mesh without a volume."""
+    flat = '<asset><mesh name="flat" vertex="0 0 0 1e-6 0 0 0 1e-6 0 0 0 1e-6"/></asset><worldbody>'
+    pair = '<contact><pair geom1="lost" geom2="floor"/></contact><keyframe><key qpos="0 0 0"/></keyframe></mujoco>'
+    drawn = (
+        r'<geom class="picture" type="sphere" size="0.02" mass="0"/>',
+        '<geom class="picture" type="mesh" mesh="flat"/>',
+    )
+    urdf, _ = load_mjcf(edited(tmp_path, (r"<worldbody>", flat), ("</mujoco>", pair), drawn))
+    assert find_anatomy(urdf, Shapes(urdf, SMALL)).kinds == "YRPPPR"
+    assert "the mesh 'flat' encloses no volume: taken as a shell" in urdf.repairs
+
+
+CRANK = (
+    '<body name="crank" pos="0.03 0 0"><joint name="motor" axis="0 1 0"/><geom type="sphere" size="0.01" mass="0.01"/>'
+    '<body name="rod"><joint name="pin" axis="0 1 0"/><geom type="sphere" size="0.01" mass="0.01"/></body></body>'
+)
+
+
+def test_a_joint_that_a_linkage_moves_is_driven_as_its_motor(tmp_path: Path) -> None:
+    crank = (r'(<body name="left_shank".*?mass="0.25"/>)', rf"\1{CRANK}")
+    loop = '<equality><connect body1="rod" body2="left_foot" anchor="0 0 0"/></equality></mujoco>'
+    motor = r'<position joint="left_ankle_pitch"/>', '<position joint="motor" forcerange="-5 5"/>'
+    urdf, drives = load_mjcf(edited(tmp_path, crank, ("</mujoco>", loop), motor))
+    assert any("a loop of links moves left_ankle_pitch" in text for text in urdf.repairs)
+    assert [urdf.joints[name].limit.effort for name in ("left_ankle_pitch", "left_ankle_roll")] == [5.0, 6.0]
+    assert drives["left_ankle_pitch"].stiffness == 70.0
+    assert not {"motor", "pin"} & drives.keys()
+    assert find_anatomy(urdf, Shapes(urdf, SMALL)).kinds == "YRPPPR"
+    none = r'<position joint="left_ankle_roll"/>', ""
+    urdf, _ = load_mjcf(edited(tmp_path, crank, ("</mujoco>", loop), motor, none))
+    assert any("has the joints left_ankle_pitch, left_ankle_roll and 1 actuators" in text for text in urdf.repairs)
 
 
 @pytest.mark.long
