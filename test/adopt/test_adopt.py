@@ -243,6 +243,7 @@ def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_step
     assert dynamic.standing.swing_duration < 0.5
 
 
+@pytest.mark.long
 def test_the_standing_walk_catches_a_push_by_steps_of_the_dynamic_walk(small: Adoption) -> None:
     config = overlaid(small.config, "physics").updated({"qp.solver": "daqp"})
     push = Push("left", -0.5 * math.pi, 1.4)  # in mid-step, towards the swing foot

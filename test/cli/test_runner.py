@@ -29,6 +29,7 @@ def children() -> list[psutil.Process]:
     return [p for p in psutil.Process().children(recursive=True) if "dqwalk_ros.nodes" in " ".join(p.cmdline())]
 
 
+@pytest.mark.long
 def test_a_step_that_is_too_long_ends_with_the_reason(tmp_path: Path) -> None:
     own = {"dt": 0.02, "dsp.eta_ground": 40.0, "gait.step_length": 0.3, "gait.phase_timeout": 5.0}
     config = load("paper").updated(SHORT | own)
@@ -134,6 +135,7 @@ def test_no_node_remains_when_the_runner_has_ended(tmp_path: Path, number: signa
     assert len(bag.read(tmp_path / "bag")) > 0
 
 
+@pytest.mark.long
 def test_progress_is_shown_and_a_suspended_recorder_loses_no_messages(tmp_path: Path) -> None:
     held: list[threading.Timer] = []
     shown: list[tuple[float, str]] = []

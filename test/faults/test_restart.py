@@ -42,7 +42,7 @@ def step_without_controller(plant: Plant, steps: list[tuple[float, Command]], dt
             plant.step(command, dt)
 
 
-DEFAULT = {("physics", "kill", 14), ("poppy_as_built", "reset", 12), ("poppy_as_built", "freeze", 15)}
+DEFAULT = {("physics", "kill", 14), ("poppy_as_built", "freeze", 15)}
 CASES = [
     pytest.param(*case, id="-".join(map(str, case)), marks=() if case in DEFAULT else pytest.mark.long)
     for case in itertools.product(("physics", "poppy_as_built"), HELD, range(MOMENTS))

@@ -109,7 +109,7 @@ def test_a_node_that_already_runs_does_not_start_again(nodes: Any) -> None:
     one_more_state()
 
 
-@pytest.mark.parametrize("name", ["phase_monitor", "drive"])
+@pytest.mark.parametrize("name", ["drive", pytest.param("phase_monitor", marks=pytest.mark.long)])
 def test_every_node_of_a_second_launch_is_refused(make: Any, name: str) -> None:
     """Two monitors would publish, and two drives command the robot."""
     first, second = make(name, CONFIG), make(name, CONFIG)

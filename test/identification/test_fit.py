@@ -179,6 +179,7 @@ def test_a_joint_with_too_small_a_range_is_refused() -> None:
 # ---------------------------------------------------------------------- the command line
 
 
+@pytest.mark.long
 def test_exercise_identify_and_replay_on_the_command_line(tmp_path, capsys) -> None:
     only = [*REST, "?_hip_y"]
     locked = "robot.lock=[" + ", ".join(f'"{name}"' for name in only) + "]"

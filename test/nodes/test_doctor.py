@@ -181,6 +181,7 @@ def test_a_phase_that_is_published_is_waited_for(domain: int, monkeypatch: pytes
     assert heard.unheard == ({} if late else {"phase": ("/controller",)})
 
 
+@pytest.mark.long
 def test_doctor_with_live_nodes(nodes: Any, domain: int, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     # at 20 Hz, because a walk ends where a busy machine misses most of its states

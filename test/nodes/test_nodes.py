@@ -122,6 +122,7 @@ def at_rest(one: Live) -> bool:
     return not one.config.plant.lockstep or after.header.stamp == before.header.stamp
 
 
+@pytest.mark.long
 def test_pause_stops_the_simulated_time_in_lockstep(nodes: Any) -> None:
     one = nodes(PAPER.updated({"plant.lockstep": True}))
     one.start("integrator")
@@ -286,7 +287,7 @@ def test_parameters_are_described_and_live_ones_can_be_set(make: Any) -> None:
 
 
 SIGNALLED = ["controller", "integrator", "phase_monitor", "poppy_driver", "recorder"]
-BY_DEFAULT = [("recorder", signal.SIGINT), ("integrator", signal.SIGTERM), ("integrator", signal.SIGHUP)]
+BY_DEFAULT = [("recorder", signal.SIGINT), ("integrator", signal.SIGTERM)]
 
 
 @pytest.mark.parametrize(

@@ -9,14 +9,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals, angle_of
+from dynamixel_bus import LOAD, MOTORS, TEMPERATURE, VOLTAGE, FaultyServos, Terminals
 from inside import state
 from live import LATCHED, Live
 from poppy_rig import driver_node
@@ -24,7 +24,7 @@ from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from dqwalk_ros.cli.runner import private_domain
 from dqwalk_ros.config import Config, load
@@ -206,7 +206,10 @@ BUS_FAULTS = {
 """Faults that the serial port takes part in; `test_poppy_faults.py` has all of them, and those of the motors."""
 
 
-@pytest.mark.parametrize("fault", BUS_FAULTS)
+@pytest.mark.parametrize(
+    "fault",
+    [name if name == "the port is unplugged" else pytest.param(name, marks=pytest.mark.long) for name in BUS_FAULTS],
+)
 def test_old_angles_are_not_published(walking: Robot, fault: str) -> None:
     begin, text = BUS_FAULTS[fault]
     begin(walking, walking.buses.servos["lower"])
@@ -236,6 +239,7 @@ MOTOR_FAULTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", MOTOR_FAULTS)
 def test_a_motor_fault_holds_the_robot(walking: Robot, fault: str) -> None:
     begin, text = MOTOR_FAULTS[fault]
@@ -246,36 +250,19 @@ def test_a_motor_fault_holds_the_robot(walking: Robot, fault: str) -> None:
     walking.buses.servos["lower"].joint(KNEE).write(LOAD, bytes(2))
 
 
-def test_a_hot_motor_prevents_switching_the_torque_on(walking: Robot) -> None:
-    overheat(walking.buses.servos["lower"])
-    walking.until_error("too hot")
-    assert walking.set_compliant(True).success
-    walking.until_torque(False)
-    walking.until(walking.is_still, 20.0, "goals that stay")
-    answer = walking.set_compliant(False)
-    assert not answer.success
-    assert "l_knee_y is at 70 degC, too hot" in answer.message
-    assert walking.is_still()
-    assert walking.torques() == {0}
-
-
-def test_the_torque_is_switched_off_after_a_fall(walking: Robot) -> None:
-    phase = walking.offer(String, "phase", "poppy_driver")
-    phase.publish(String(data="fallen"))
-    walking.until_torque(False)
-    walking.node.destroy_publisher(phase)
-    walking.until(lambda: walking.ready is False, 20.0, "plant_ready: false")
-
-
 def test_two_drivers_do_not_share_a_port(walking: Robot, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "dqwalk_ros.nodes", "poppy_driver", "--ros-args", "--params-file"]
-    second = subprocess.run([*command, str(walking.params)], capture_output=True, text=True, check=False, timeout=60.0)
+    with (tmp_path / "log").open("w+") as log:
+        second = subprocess.Popen([*command, str(walking.params)], stdout=log, stderr=log)
+        walking.until(lambda: second.poll() is not None, 60.0, "the end of the second driver")  # and answer the first
+        log.seek(0)
+        assert "the lower bus cannot be opened" in log.read()
     assert second.returncode == 2
-    assert "the lower bus cannot be opened" in second.stderr
     walking.until_moving()
 
 
-@pytest.mark.parametrize("torque_off", [pytest.param(False, marks=pytest.mark.long), True])
+@pytest.mark.long
+@pytest.mark.parametrize("torque_off", [False, True])
 def test_the_torque_at_exit_is_as_configured(nodes: Any, torque_off: bool) -> None:
     settings = {"poppy.torque_off_at_end": torque_off, "poppy.activate": True}
     robot = nodes(CONFIG.updated(settings), kind=Robot)
@@ -287,24 +274,6 @@ def test_the_torque_at_exit_is_as_configured(nodes: Any, torque_off: bool) -> No
     assert robot.processes.wait("poppy_driver", 15.0) == 0
     assert "Traceback" not in robot.processes.log("poppy_driver")
     robot.until_torque(not torque_off)
-
-
-def test_a_fault_on_the_way_to_the_first_pose_is_logged(nodes: Any) -> None:
-    robot = nodes(CONFIG.updated({"poppy.activate": True, "poppy.start_speed": 0.02}), kind=Robot)
-    robot.start("poppy_driver")
-    robot.until(lambda: "moving to the first pose: " in robot.processes.log("poppy_driver"), 60.0, "the motion")
-    robot.buses.servos["lower"].dead = True
-    expected = "not moving to the first pose: lower bus: every motor does not answer"
-    robot.until(lambda: expected in robot.processes.log("poppy_driver"), 20.0, "a warning")
-
-
-def test_the_first_pose_is_the_posture_of_the_walk(nodes: Any) -> None:
-    settings = {"standing.posture": ["r_knee_y=0.5"], "poppy.activate": True}
-    robot = nodes(CONFIG.updated(settings), kind=Robot)
-    robot.start("poppy_driver")
-    robot.until(lambda: robot.ready, 60.0, "the first pose")
-    knee = angle_of(robot.buses.of(RIGHT_KNEE).joint(RIGHT_KNEE), MOTORS[RIGHT_KNEE])
-    assert knee == pytest.approx(0.5, abs=CONFIG.poppy.start_tolerance)
 
 
 @pytest.mark.long
@@ -354,3 +323,46 @@ def test_a_clock_that_is_set_back_withholds_no_state(make: Any, monkeypatch: pyt
         stamps.append(stamp(one.got["joint_states"][-1]) - off)
     assert stamps == pytest.approx([(k + 1) * CONFIG.dt for k in range(20)], abs=1e-6)
     assert len(one.got["joint_states"]) == 20
+
+
+def until(one: Any, condition: Callable[[], object], seconds: float = 30.0) -> None:
+    """Execute periods of a driver until a condition holds."""
+    end = one.clock.now + seconds
+    while not condition():
+        assert one.clock.now < end, one.log.lines[-5:]
+        one.clock.now += CONFIG.dt
+        one.node._on_period()
+
+
+def test_a_fault_on_the_way_to_the_first_pose_is_logged(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    one, memory = driver_node(make, monkeypatch, CONFIG.updated({"poppy.activate": True, "poppy.start_speed": 0.02}))
+    until(one, lambda: "moving to the first pose: " in one.log)
+    memory.servos["lower"].dead = True
+    until(one, lambda: "not moving to the first pose: lower bus: every motor does not answer" in one.log, 1.0)
+
+
+def test_the_first_pose_is_the_posture_of_the_walk(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = {"standing.posture": ["r_knee_y=0.5"], "poppy.activate": True}
+    one, memory = driver_node(make, monkeypatch, CONFIG.updated(settings))
+    until(one, lambda: one.node._plant.ready)
+    assert memory.angle(RIGHT_KNEE) == pytest.approx(0.5, abs=CONFIG.poppy.start_tolerance)
+
+
+def test_the_torque_is_switched_off_after_a_fall_and_on_when_no_motor_is_hot(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, memory = driver_node(make, monkeypatch, CONFIG.updated({"poppy.activate": True}))
+    until(one, lambda: one.node._plant.ready)
+    one.send("phase", String(data="fallen"))
+    assert not any(memory.torque(name) for name in MOTORS)
+    memory.servo(KNEE).memory[TEMPERATURE] = 70
+    until(one, lambda: "too hot" in one.node._commands.gate.refused)
+    answer = one.call("compliant", SetBool.Request(data=False))
+    assert not answer.success
+    assert "l_knee_y is at 70 degC, too hot" in answer.message
+    assert not any(memory.torque(name) for name in MOTORS)
+    memory.servo(KNEE).memory[TEMPERATURE] = 38
+    until(one, lambda: "too hot" not in one.node._commands.gate.refused)
+    assert one.call("activate", Trigger.Request()).success
+    until(one, lambda: one.node._plant.ready)
+    assert all(memory.torque(name) for name in MOTORS)

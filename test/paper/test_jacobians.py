@@ -19,6 +19,7 @@ from dqwalk_ros.paper.features import (
     CenterOfMass,
     CenterOfMassOnGround,
     Direction,
+    Observer,
     Point,
     Pose,
     Rotation,
@@ -176,18 +177,23 @@ def test_tasks_and_constraints(foot):
     """All at the same postures, for which the kinematics are computed once."""
     classes = [*subclasses(Task), *subclasses(Constraint)]
     made = [example(cls, legs(), foot) for cls in classes]
+    observers = [Observer(one.watches, on_a_tilted_sole(np.zeros(legs().n), foot).tree) for one in made]
+
+    def evaluated(q):
+        kin = on_a_tilted_sole(q, foot)
+        for one, observer in zip(made, observers, strict=True):
+            s, J = observer(kin)
+            value, gradient, _ = one.evaluate(s, 0.4)
+            yield value, gradient @ J
 
     def all_values(q):
-        kin = on_a_tilted_sole(q, foot)
-        return [values(one, kin, 0.4)[0] for one in made]
+        return [value for value, _ in evaluated(q)]
 
     for q in configurations(legs(), COUNT // 5, seed=22):
         sizes = [d.size for d in all_values(q)]
         slopes = central_difference(lambda q: np.concatenate(all_values(q)), q)
         slopes = np.split(slopes, np.cumsum(sizes)[:-1])
-        kin = on_a_tilted_sole(q, foot)
-        for one, size, expected in zip(made, sizes, slopes, strict=True):
-            _, J = values(one, kin, 0.4)
+        for one, size, expected, (_, J) in zip(made, sizes, slopes, evaluated(q), strict=True):
             assert J.shape == (size, legs().n), one
             scale = max(1.0, np.abs(J).max()) if isinstance(one, Constraint) else 1.0
             np.testing.assert_allclose(J, expected, rtol=0, atol=TOLERANCE * scale, err_msg=type(one).__name__)

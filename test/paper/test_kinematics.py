@@ -212,6 +212,7 @@ print(int(numba.config.DISABLE_JIT), *(x.hex() for a in out for x in a.ravel().t
 """
 
 
+@pytest.mark.long
 def test_compiled_and_plain_kernels_agree():
     """NUMBA_DISABLE_JIT=1 runs the same functions as plain Python."""
     results = {}

@@ -163,7 +163,7 @@ def check_walk(
     assert abs(feet[0][0] - feet[1][0]) < 0.005  # together
 
 
-@pytest.mark.parametrize("gain", GAINS)
+@pytest.mark.parametrize("gain", [pytest.param(254, marks=pytest.mark.long), 127])
 def test_the_robot_walks_through_the_driver(gain: int) -> None:
     check_walk(settings(gain, 0, 3))
 

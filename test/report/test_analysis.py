@@ -468,6 +468,7 @@ def test_later_cycles_are_drawn_lighter(trace):
     assert shade[3] < 0.6 * shade[1]
 
 
+@pytest.mark.long
 def test_figures_of_many_phases_have_few_parts(trace):
     """Of 120 phases: curves in ten tones of both colours, some of the numbers, and no marks over time."""
     series = reporting.analyse(repeated(trace, 30))

@@ -332,6 +332,7 @@ def test_the_page_listens_on_this_machine_only(trace):
         page.close()
 
 
+@pytest.mark.long
 def test_an_adopted_robot_is_shown_in_its_standing_posture(tmp_path):
     """Both soles on the ground side by side, the CoM above their midpoint, from which an arrow points forward."""
     found = adopt(DATA / "small_humanoid.urdf", tmp_path)

@@ -299,7 +299,7 @@ def test_one_step_in_physics_stays_balanced() -> None:
     assert soles[0][0] == pytest.approx(0.05, abs=0.01)
 
 
-@pytest.mark.parametrize("first", ["left", "right"])
+@pytest.mark.parametrize("first", ["left", pytest.param("right", marks=pytest.mark.long)])
 def test_on_one_foot_the_com_is_moved_towards_the_other_foot(first: str) -> None:
     places = []
     for aim in (0.0, CONFIG.standing.aim_inside):
