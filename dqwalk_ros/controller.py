@@ -11,6 +11,7 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
+from dqwalk_ros.estimation.load import FootLoads
 from dqwalk_ros.estimation.vertical import filtered_vertical
 from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -59,6 +60,9 @@ class VelocityController:
         Whether the last phase is over; commands are zero from then on.
     kin : Kinematics or None
         Kinematics at the last state.
+    loads : ndarray, shape (2,), or None
+        Force of the ground on the left and on the right sole along its vertical at the last state [N]; None if the
+        torques of the joints are not measured.
     error : float
         Norm of the error of the phase's first task at the last state.
     problem, solution : Problem, Solution or None
@@ -87,6 +91,8 @@ class VelocityController:
         self.solution: Solution | None = None
         self._phase: Phase | None = None
         self.kin: Kinematics | None = None
+        self.loads: Array | None = None
+        self._foot_loads = FootLoads(self.config, self.model)
         self._last_state: State | None = None
         self._history = CommandHistory(self._drive.delay, self.model.n)
         self._u, self._tau = np.zeros((2, self.model.n))  # the last command
@@ -240,6 +246,7 @@ class VelocityController:
     def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, Evaluation]:
         """Return the kinematics at `state`, and the evaluation of the phase, which the walk may update."""
         kin, state.elapsed = self._kinematics(state, self.phase.base), state.time - self.phase_began
+        self.loads = state.loads = self._foot_loads.update(kin, state)
         if (change := self._active.observe(self.phase, kin, state)) is not None:
             self.phase.apply(change)
             self._taking_over = change.walk

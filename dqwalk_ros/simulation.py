@@ -42,6 +42,7 @@ __all__ = [
     "Trace",
     "TraceRecorder",
     "closed_loop",
+    "known_loads",
     "make_controller",
     "make_plant",
     "make_walk",
@@ -406,6 +407,8 @@ class Trace:
         Software versions and machine (`dqwalk_ros.support.provenance`); empty if unknown.
     physics : PhysicsRecord or None
         Data of the physics engine, if the plant was one.
+    loads : ndarray, shape (N, 2), or None
+        Estimated forces of the ground on the left and on the right sole [N], nan where unknown; None if all are.
     epoch : int
         Stamp of time zero [ns]: that of the first state, if stamps are the time of day.
     interrupted : bool
@@ -425,6 +428,7 @@ class Trace:
     notes: tuple[str, ...] = ()
     origin: Mapping[str, str] = field(default_factory=dict)
     physics: PhysicsRecord | None = None
+    loads: Array | None = None
     epoch: int = 0
     interrupted: bool = False
     cut: bool = False
@@ -459,6 +463,7 @@ class TraceRecorder:
         self._notes: list[str] = []
         self._origin = provenance.here()
         self._physics: list[tuple[Truth, Inertial]] = []
+        self._loads: list[Array] = []
         self.interrupted = False
 
     def add(
@@ -489,6 +494,7 @@ class TraceRecorder:
         elif not finished and controller.phase.decision != self._phases[-1].decision:
             now = controller.phase
             self._phases[-1] = replace(self._phases[-1], swing_target=now.swing_target, decision=now.decision)
+        self._loads.append(_NAN[:2] if controller.loads is None else controller.loads)
         self._time.append(state.time)
         self._q.append(state.q)
         self._u.append(command.velocity if command is not None else np.full(state.q.shape, math.nan))
@@ -513,8 +519,14 @@ class TraceRecorder:
             notes=tuple(self._notes),
             origin=self._origin,
             physics=PhysicsRecord.of(self._physics) if self._physics else None,
+            loads=known_loads(np.array(self._loads).reshape(-1, 2)),
             interrupted=self.interrupted,
         )
+
+
+def known_loads(loads: Array) -> Array | None:
+    """Return the loads (N, 2) of a `Trace`; None if all are unknown."""
+    return loads if np.isfinite(loads).any() else None
 
 
 _NAN = np.full(8, math.nan)

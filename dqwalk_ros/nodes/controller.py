@@ -73,6 +73,8 @@ class Controller(AnsweringNode):
         footstep_status          std_msgs/String, latched: 'walking 2/5', 'done 5/5', 'refused: why', 'cancelled: ...'
         odom                     nav_msgs/Odometry: pose and velocity of odometry.base_frame
         base_pose                geometry_msgs/PoseStamped: the pelvis in odom
+        left_foot_load, right_foot_load
+                                 geometry_msgs/WrenchStamped, from the torques of joint_states: vertical force on a sole
         /tf, /tf_static          tf2_msgs/TFMessage where tf2_msgs exists: odom, base and footprint
         walk_config              std_msgs/String, latched: all current parameters
         walk_origin              std_msgs/String, latched: versions and machine
@@ -111,6 +113,7 @@ class Controller(AnsweringNode):
 
         self._phases = PhasePublisher(self, self._model, self._publish_description())
         self._odometry = Odometry(self, self._model)
+        self._load_topics = [self.advertise(f"{foot.value}_foot_load") for foot in Foot]
         self._drive = DriveWatch(Drive.of(config, self._model))
         self._first_base: Foot | None = None  # its sole is the frame odom
         self._show_phase()
@@ -162,6 +165,7 @@ class Controller(AnsweringNode):
             self._compute_time = time.perf_counter() - began
             self._ticks += 1
             self._publish_odometry(stamp, state)
+            self._publish_loads(stamp)
         if self._mode is not before and self._mode is not Mode.PAUSED:
             self._done()
         elif self._is_time_to_diagnose():
@@ -194,6 +198,15 @@ class Controller(AnsweringNode):
         if kin is None or kin.base is not base or not np.array_equal(kin.q, state.q):  # the walk has not answered it
             kin = Kinematics.measured(self._model, state.q, base, state.up)
         self._odometry.publish(stamp, state, kin, x_base, both=both)
+
+    def _publish_loads(self, stamp: int) -> None:
+        """Publish the estimated loads of the feet at the last state that the walk has answered."""
+        if self._walk.loads is None or self._mode is not Mode.WALKING:
+            return
+        for topic, foot, load in zip(self._load_topics, Foot, self._walk.loads, strict=True):
+            if topic.get_subscription_count():
+                force = np.array([0.0, 0.0, load, 0.0, 0.0, 0.0])
+                topic.publish(ros.wrench(stamp, self._model.soles[foot].frame, force))
 
     @property
     def _is_walking(self) -> bool:

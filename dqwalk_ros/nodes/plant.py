@@ -287,7 +287,7 @@ class Physics(SimulatedPlant):
         others = (streams[name] for name in streams if name != "imu")
         truth = self.plant.truth if any(stream.get_subscription_count() for stream in others) else None
         streams["imu"].publish(ros.imu(stamp, self.model.imu_link, self.plant.inertial))
-        super().publish(None if truth is None else truth.effort)
+        super().publish(self.plant.state.effort)
         if truth is not None:
             streams["true_base_pose"].publish(ros.pose(stamp, WORLD, truth.pelvis))
             streams["true_joint_states"].publish(self._true_angles(stamp, position=truth.q))

@@ -30,7 +30,10 @@ class State:
         Specific force, as an accelerometer measures it, in the same frame: 9.81 upwards at rest [m/s^2]. Only the
         odometry uses it.
     effort : ndarray, shape (n,), or None
-        Joint torques [N m]; used only to find the cause of a fall.
+        Joint torques [N m], such as the present load of a servo; the load of each foot is estimated from them.
+    loads : ndarray, shape (2,), or None
+        Force of the ground on the left and on the right sole along its vertical [N], which the controller fills in;
+        None if it is not known.
     elapsed : float
         Time since the phase began [s], for the walk, which the controller fills in.
     """
@@ -42,6 +45,7 @@ class State:
     gyro: Array | None = None
     acceleration: Array | None = None
     effort: Array | None = None
+    loads: Array | None = None
     elapsed: float = math.inf
 
 

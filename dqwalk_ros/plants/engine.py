@@ -170,10 +170,10 @@ class EnginePlant(Plant):
         q, dq = self._joints()
         # the acceleration of an exact sensor is computed only when `inertial` is read
         acceleration = _NO_ACCELERATION if self._sensors.exact else self._to_sensor @ self._acceleration()
-        exact = Reading(orientation, gyro, acceleration, q, dq)
+        exact = Reading(orientation, gyro, acceleration, q, dq, self._effort)
         r = self._reading = self._sensors.measure(time, exact)
         felt = None if self._sensors.exact else r.acceleration
-        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt)
+        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt, r.effort)
 
     # ------------------------------------------------------------------ the engine
 

@@ -18,13 +18,15 @@ __all__ = ["Reading", "Sensors"]
 
 @dataclass(slots=True, eq=False)
 class Reading(Inertial):
-    """Measurements of all sensors at one time: joint angles and velocities `q`, `dq` (n,) [rad, rad/s], and `Inertial`.
+    """Measurements of all sensors at one time: `q`, `dq` and `effort` (n,) of the joints, and `Inertial`.
 
-    The orientation of the inertial sensor is that in a level world.
+    These are angles [rad], velocities [rad/s] and torques [N m]. The orientation of the inertial sensor is that in a
+    level world.
     """
 
     q: Array
     dq: Array
+    effort: Array
 
 
 class Sensors:

@@ -493,6 +493,16 @@ class Ground:
         return float(np.nanmedian(part)) if np.isfinite(part).any() else None
 
     @property
+    def load_error(self) -> float | None:
+        """Error of the estimated fraction of the weight on the left foot, the median; None without an estimate."""
+        if (loads := self._series.trace.loads) is None:
+            return None
+        true = np.stack([self.physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
+        estimated, real = (f[:, 0] / np.maximum(f.sum(axis=1), 1e-3) for f in (loads, true))
+        error = np.abs(estimated - real)
+        return float(np.nanmedian(error)) if np.isfinite(error).any() else None
+
+    @property
     def drift(self) -> float:
         """Horizontal error of odometry at the end, relative to the first base sole [m]."""
         first, last = self._series.spans[0], self._series.spans[-1]

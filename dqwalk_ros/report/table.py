@@ -143,6 +143,8 @@ def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("  pressure", f"centre inside the support polygon on {inside:.2f} % of ticks{margin}"))
     if (load := of["swing_load"]) is not None:
         lines.append(("  swing foot", f"carries {100.0 * load:.1f} % of the weight while it swings (median)"))
+    if (error := of["load_error"]) is not None:
+        lines.append(("  load of a foot", f"from torques, {100.0 * error:.1f} % of the weight off (median)"))
     if (load := of.get("load")) is not None:
         text = f"{load['joint']} needs {100.0 * load['part']:.0f} % of its torque-speed line at {load['time']:.2f} s"
         lines.append(("  servos", text))

@@ -456,6 +456,7 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
         "landing_height": max(heights, default=None),
         "fallen": of.fallen,
         "swing_load": of.swing_load,
+        "load_error": of.load_error,
         "odometry_drift": of.drift,
     }
     if (load := most_loaded(series.trace)) is not None:

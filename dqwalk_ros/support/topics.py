@@ -11,6 +11,7 @@ __all__ = [
     "FALLEN",
     "FINISHED",
     "ODOM",
+    "OPTIONAL",
     "OTHERS",
     "PHASE_LOG",
     "REQUIRED",
@@ -51,7 +52,8 @@ class Topic:
         History depth of the publisher.
     meaning : str
     source : str
-        Publishing node: ``"plant"``, ``"controller"``, ``"physics"`` (only the plant of that name) or ``"all"``.
+        Publishing node: ``"plant"``, ``"controller"``, ``"physics"`` (only the plant of that name), ``"effort"`` (the
+        controller, if joint_states has torques) or ``"all"``.
     """
 
     name: str
@@ -61,6 +63,9 @@ class Topic:
     meaning: str
     source: str = "controller"
 
+
+OPTIONAL = ("physics", "effort")
+"""Sources of topics that not every walk has."""
 
 _HISTORY = 20_000
 """History depth of a stream, for a slow recorder: about 20 s of lockstep at full speed.
@@ -115,6 +120,17 @@ _ALL = (
     ),
     Topic("support_foot", "std_msgs/msg/String", True, 1, "support foot of the current phase: left or right"),
     Topic("base_pose", "geometry_msgs/msg/PoseStamped", False, _HISTORY, "pose of the pelvis in odom"),
+    *(
+        Topic(
+            f"{side}_foot_load",
+            "geometry_msgs/msg/WrenchStamped",
+            False,
+            _HISTORY,
+            f"vertical force of the ground on the {side} sole, estimated from the torques of joint_states [N]",
+            "effort",
+        )
+        for side in ("left", "right")
+    ),
     Topic("walk_config", "std_msgs/msg/String", True, 1, "every parameter, as the text of a parameter file"),
     Topic("walk_origin", "std_msgs/msg/String", True, 1, "software versions and machine of the controller"),
     Topic("robot_description", "std_msgs/msg/String", True, 1, "URDF"),

@@ -24,7 +24,7 @@ from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller, simulate
-from dqwalk_ros.support.topics import TOPICS
+from dqwalk_ros.support.topics import OPTIONAL, TOPICS
 
 PAPER = load("paper")
 MODEL = load_model(PAPER.robot)
@@ -67,7 +67,7 @@ def check_bag_is_complete(path: Path, period: int) -> None:
     with Reader(path) as reader:
         assert {connection.topic for connection in reader.connections} == {
             "/rosout",
-            *(f"/{name}" for name, topic in TOPICS.items() if topic.source != "physics"),
+            *(f"/{name}" for name, topic in TOPICS.items() if topic.source not in OPTIONAL),
             "/odom",
         }
         for connection, time, raw in reader.messages():

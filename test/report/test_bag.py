@@ -16,7 +16,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.bag import messages, storage
 from dqwalk_ros.support.errors import BagError
-from dqwalk_ros.support.topics import FINISHED, TOPICS
+from dqwalk_ros.support.topics import FINISHED, OPTIONAL, TOPICS
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_the_bag_is_a_valid_rosbag2(path, trace):
     assert meta["starting_time"]["nanoseconds_since_epoch"] == round(trace.time[0] * 1e9)
     assert meta["duration"]["nanoseconds"] == round((trace.time[-1] - trace.time[0]) * 1e9)
     topics = {t["topic_metadata"]["name"]: t for t in meta["topics_with_message_count"]}
-    said = {name: topic for name, topic in TOPICS.items() if topic.source != "physics"}
+    said = {name: topic for name, topic in TOPICS.items() if topic.source not in OPTIONAL}
     assert set(topics) == {"/" + name for name in said}
     assert topics["/joint_states"]["message_count"] == len(trace.time)
     for name, topic in said.items():

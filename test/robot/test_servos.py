@@ -235,7 +235,8 @@ def test_goals_may_change_within_a_tick() -> None:
 
 
 def reading(q: float, dq: float = 0.0) -> Reading:
-    return Reading(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([0, 0, 9.81]), np.full(3, q), np.full(3, dq))
+    level, still = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    return Reading(level, still, np.array([0, 0, 9.81]), np.full(3, q), np.full(3, dq), still)
 
 
 def test_readings_are_delayed_and_held_between_bus_reads() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from dqwalk_ros.report.bag.storage import Column, Source, write_columns
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
+from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace, known_loads
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError, listed
@@ -74,7 +74,8 @@ def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = Tru
     """
     if len(trace.time) == 0:
         raise BagError("a walk without a state cannot be written as a bag")
-    topics = {name: topic for name, topic in TOPICS.items() if topic.source != "physics" or trace.physics is not None}
+    known = {"physics": trace.physics is not None, "effort": trace.loads is not None}
+    topics = {name: topic for name, topic in TOPICS.items() if known.get(topic.source, True)}
     if not diagnostics:
         del topics["diagnostics"]
     write_columns(path, topics, _columns(trace, diagnostics), overwrite=overwrite)
@@ -100,6 +101,7 @@ def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
     found += [
         ("robot_description", stamps[:1], [text(model.urdf)]),
         *([] if trace.physics is None else _physics_messages(model, stamps, trace.physics)),
+        *([] if trace.loads is None else _loads(model, stamps, trace.loads)),
         ("joint_states", stamps, pack_joint_states(stamps, names, position=trace.q, velocity=applied, effort=effort)),
         *(column for record in trace.phases for column in _phase_start(model, record, stamps[[record.start]])),
         (
@@ -133,6 +135,15 @@ def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -
     there = np.isfinite(known.q).all(axis=1)
     angles = pack_joint_states(stamps[there], model.joint_names, position=known.q[there])
     return [*found, ("true_joint_states", stamps[there], angles)]
+
+
+def _loads(model: RobotModel, stamps: Stamps, loads: Array) -> Iterator[_Messages]:
+    """Return the messages of the estimated loads (N, 2) of the feet [N], of the states at which they are known."""
+    for foot, load in zip(Foot, loads.T, strict=True):
+        name, there = f"{foot.value}_foot_load", np.isfinite(load)
+        force = np.zeros((np.count_nonzero(there), 6))
+        force[:, 2] = load[there]
+        yield name, stamps[there], pack(stamped(TOPICS[name].type, model.soles[foot].frame), stamps[there], force)
 
 
 def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[_Messages]:
@@ -232,6 +243,7 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
         notes=tuple(notes),
         origin=bag.origin,
         physics=_physics(bag, stamps),
+        loads=known_loads(np.column_stack([force[:, 2] for force in _forces(bag, stamps, "load").values()])),
         epoch=epoch,
         cut=bag.cut and last_phase not in (FINISHED, FAILED, FALLEN),
     )
@@ -373,6 +385,11 @@ def _commands(bag: Recording, stamps: Stamps) -> Array:
     return at_stamps(stamps, commands.stamps, commands.velocity)
 
 
+def _forces(bag: Recording, stamps: Stamps, what: str) -> dict[Foot, Array]:
+    """Return the messages (N, 6) of each foot on ``left_foot_WHAT`` and ``right_foot_WHAT``; nan where missing."""
+    return {foot: aligned(bag.columns.get(f"{foot.value}_foot_{what}"), stamps, 6) for foot in Foot}
+
+
 def _physics(bag: Recording, stamps: Stamps) -> PhysicsRecord | None:
     """Return the record of a walk in physics, nan where a message is missing; None for a walk without physics."""
     columns = bag.columns
@@ -381,7 +398,7 @@ def _physics(bag: Recording, stamps: Stamps) -> PhysicsRecord | None:
     imu, pose = (aligned(columns.get(name), stamps, width) for name, width in (("imu", 37), ("true_base_pose", 7)))
     return PhysicsRecord(
         pelvis=pose_of(pose),
-        wrenches={foot: aligned(columns.get(f"{foot.value}_foot_wrench"), stamps, 6) for foot in Foot},
+        wrenches=_forces(bag, stamps, "wrench"),
         cop=aligned(columns.get("center_of_pressure"), stamps, 3),
         orientation=imu[:, [3, 0, 1, 2]],
         gyro=imu[:, 13:16],

@@ -198,13 +198,13 @@ def on_the_ground(series: Series) -> Figure:
     long, broad = np.ptp(of.stands[:, :2], axis=0) + 0.3
     if long > 2.0 * broad:
         top = float(np.clip(11.0 * broad / long, 1.8, 5.0))
-        fig = new_figure(11.5, top + 4.0)
-        grid = fig.add_gridspec(3, 1, height_ratios=[top, 1.6, 1.1])
-        axes = [fig.add_subplot(grid[k, 0]) for k in range(3)]
+        fig = new_figure(11.5, top + 5.4)
+        grid = fig.add_gridspec(4, 1, height_ratios=[top, 1.6, 1.1, 1.1])
+        axes = [fig.add_subplot(grid[k, 0]) for k in range(4)]
     else:
         fig = new_figure(11.5, 6.2)
-        grid = fig.add_gridspec(2, 2, width_ratios=[1.15, 1.0], height_ratios=[1.4, 1.0])
-        axes = [fig.add_subplot(grid[:, 0]), fig.add_subplot(grid[0, 1]), fig.add_subplot(grid[1, 1])]
+        grid = fig.add_gridspec(3, 2, width_ratios=[1.15, 1.0], height_ratios=[1.4, 1.0, 1.0])
+        axes = [fig.add_subplot(grid[:, 0]), *(fig.add_subplot(grid[k, 1]) for k in range(3))]
     _draw_ground(axes[0], series, of)
     _draw_over_time(axes[1:], series, of)
     handles = [
@@ -241,10 +241,10 @@ def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
 
 
 def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
-    """Draw the margin of the centre of pressure and the tilt."""
+    """Draw the margin of the centre of pressure, the tilt, and which foot bears the weight."""
     tilt = np.degrees(of.tilt)
     most = float(np.nanmax(tilt))
-    for ax, values, color in zip(axes, (1e3 * of.cop_margin, tilt), (_ORANGE, INK), strict=True):
+    for ax, values, color in zip(axes[:2], (1e3 * of.cop_margin, tilt), (_ORANGE, INK), strict=True):
         mark_phases(ax, series)
         ax.plot(series.time, values, color=color, linewidth=1.1)
         set_time_limits(ax, series)
@@ -254,5 +254,21 @@ def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
     if most > 0.5 * np.degrees(TILT):
         axes[1].axhline(np.degrees(TILT), color=RED, linestyle=DASHED, linewidth=1.2)
     axes[1].set_ylim(bottom=0.0)
-    axes[1].set(xlabel="time [s]", ylabel="tilt [degrees]")
+    axes[1].set_ylabel("tilt [degrees]")
     axes[1].set_title(f"C   Tilt of the more loaded sole: at most {most:.2f} degrees")
+    _draw_loads(axes[2], series, of)
+
+
+def _draw_loads(ax: Axes, series: Series, of: Ground) -> None:
+    """Draw the fraction of the weight on each foot as a bar over time, and the estimate as a line."""
+    true = np.stack([of.physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
+    part = true[:, 0] / np.maximum(true.sum(axis=1), 1e-3)
+    ax.fill_between(series.time, 0.0, part, color=_COLOR[Foot.LEFT], alpha=0.35, linewidth=0.0)
+    ax.fill_between(series.time, part, 1.0, color=_COLOR[Foot.RIGHT], alpha=0.35, linewidth=0.0)
+    title = "D   Part of the weight on the left foot (below) and on the right one"
+    if (loads := series.trace.loads) is not None:
+        ax.plot(series.time, loads[:, 0] / np.maximum(loads.sum(axis=1), 1e-3), color=INK, linewidth=0.8)
+        title += "; line: from the torques of the joints"
+    set_time_limits(ax, series)
+    ax.set(xlabel="time [s]", ylabel="part", ylim=(0.0, 1.0))
+    ax.set_title(title)

@@ -44,6 +44,8 @@ def replay_data(series: Series) -> dict[str, Any]:
         for gauge in gauges:
             if gauge.role != "held":
                 curves.setdefault(gauge.name, (gauge.unit, np.full(len(ticks), np.nan)))[1][row] = gauge.value
+    if trace.loads is not None:
+        curves |= {f"load on the {foot.value} sole": ("N", trace.loads[ticks, k]) for k, foot in enumerate(Foot)}
     prints, phases = [], []
     for span in series.spans:
         start, base = float(trace.time[span.start] - trace.time[0]), span.phase.base

@@ -1,0 +1,89 @@
+"""The load of each foot from the torques of the joints: the balance of a leg, and the physics engine's wrench."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import dqwalk_ros as dq
+from dqwalk_ros.config import overlaid
+from dqwalk_ros.estimation.load import FootLoads, share_of
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.report import analyse, report
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
+
+CONFIG = overlaid(dq.load("poppy_dynamic"), "physics")
+MODEL = dq.load_model(CONFIG.robot)
+FEET = tuple(Foot)
+
+
+def posture(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return random joint angles and a random vertical of the inertial sensor."""
+    random = np.random.default_rng(seed)
+    q = MODEL.posture(CONFIG.standing.posture) + 0.15 * random.normal(size=MODEL.n)
+    up = np.array([0.0, 0.0, 1.0]) + 0.1 * random.normal(size=3)
+    return np.clip(q, MODEL.q_min, MODEL.q_max), up / np.linalg.norm(up)
+
+
+def at_rest(q: np.ndarray, effort: np.ndarray) -> State:
+    return State(0.0, q, np.zeros(MODEL.n), effort=effort)
+
+
+@pytest.mark.parametrize("base", Foot)
+def test_a_vertical_force_on_the_other_sole_is_found_exactly(base: Foot) -> None:
+    q, up = posture(1)
+    kin = Kinematics.measured(MODEL, q, base, up)
+    sole, force = MODEL.soles[base.other], 11.0
+    lifts = kin.up @ kin.point_jacobian(sole.frame, sole.center)
+    effort = MODEL.mass * GRAVITY * (kin.up @ kin.com_jacobian) - force * lifts  # with the base sole at rest
+    loads = FootLoads(CONFIG, MODEL).update(kin, at_rest(q, effort))
+    assert loads is not None
+    assert loads[FEET.index(base.other)] == pytest.approx(force, abs=1e-9)
+
+
+def test_loads_do_not_depend_on_the_base_sole() -> None:
+    q, up = posture(2)
+    effort = np.random.default_rng(3).normal(size=MODEL.n)
+    one, other = (
+        FootLoads(CONFIG, MODEL).update(Kinematics.measured(MODEL, q, base, up), at_rest(q, effort)) for base in Foot
+    )
+    np.testing.assert_allclose(one, other, atol=1e-9)
+    assert one is not None
+    assert np.abs(one).max() > 0.1
+
+
+def test_loads_need_torques() -> None:
+    q, up = posture(4)
+    kin, loads = Kinematics.measured(MODEL, q, Foot.LEFT, up), FootLoads(CONFIG, MODEL)
+    assert loads.update(kin, State(0.0, q, np.zeros(MODEL.n))) is None
+    assert loads.update(kin, at_rest(q, np.full(MODEL.n, np.nan))) is None
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.09, -0.05])
+def test_a_standing_robot_knows_which_foot_bears_what(slope: float) -> None:
+    plant = make_plant("physics", CONFIG.updated({"physics.slope_side": slope}), MODEL)
+    state, true = plant.state, plant.truth
+    assert true is not None
+    loads = FootLoads(CONFIG, MODEL).update(Kinematics.measured(MODEL, state.q, Foot.LEFT, state.up), state)
+    assert loads is not None
+    forces = np.array([true.wrenches[foot][2] for foot in Foot])
+    assert share_of(Foot.LEFT, loads) == pytest.approx(forces[0] / forces.sum(), abs=0.1)
+    assert share_of(Foot.LEFT, loads) + share_of(Foot.RIGHT, loads) == pytest.approx(1.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("slope", [0.0, 0.105])
+def test_a_walking_robot_knows_which_foot_bears_what(slope: float) -> None:
+    given = {
+        "gait.steps": 14, "gait.step_length": 0.04, "physics.slope_side": slope,
+        "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"], "sensors.attitude_noise": 0.004,
+        "sensors.gyro_noise": 0.02, "sensors.encoder": 0.001534, "sensors.velocity_filter": 0.01,
+    }  # fmt: skip
+    config = CONFIG.updated(given)
+    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    error = report(analyse(trace))["physics"]["load_error"]
+    print(f"\nside slope of {slope} rad: the load of a foot is {error:.3f} of the weight off (median)")
+    assert error < 0.1
