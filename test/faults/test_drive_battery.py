@@ -1,4 +1,4 @@
-"""Random faults of states and commands in any order, to a robot in physics that is moved by `drive`, in stepped time.
+"""Random faults of states and commands in any order, to `drive` and to `physics`, both with a robot in physics.
 
 Whatever arrives, four laws hold: a goal moves no faster than its joint can, and begins where the joint was measured; no
 number beyond the limits of the joints leaves; no torque is more than the joint's; and motion ends within the timeout
@@ -43,6 +43,20 @@ COMMANDS = {
     "unstamped": 1, "of the clock": 1, "of the future": 1, "several": 1,
 }  # fmt: skip
 """What a sender does for a while, and how often."""
+
+
+def command(draw: random.Random, way: str, stamp: int, relayed: int, clock: int) -> JointState:
+    """Return a command of a kind of `COMMANDS`; the stamps are those of the last state, an old one, and now [ns]."""
+    size = {"absurd": 10.0 ** draw.choice((1, 2, 300)), "zero": 0.0}.get(way, 0.5)
+    u = size * np.array([draw.uniform(-1.0, 1.0) for _ in range(N)])
+    if way == "not a number":
+        u[draw.randrange(N)] = math.nan
+    torque = {"torque": 1.0, "absurd torque": 10.0 ** draw.choice((2, 4, 300))}.get(way, 0.0)
+    tau = torque * np.array([draw.uniform(-3.0, 3.0) for _ in range(N)])
+    msg = state(NAMES, [], 0.0, velocity=u, effort=tau if torque else [])
+    stamps = {"unstamped": 0, "relayed": relayed, "of the clock": clock, "of the future": stamp + 10**12}
+    msg.header.stamp = ros.time_msg(stamps.get(way, stamp))
+    return msg
 
 
 class Battery:
@@ -164,24 +178,11 @@ class Battery:
     # ------------------------------------------------------------------ the controller
 
     def _command(self, way: str) -> None:
-        draw = self._random
-        size = {"absurd": 10.0 ** draw.choice((1, 2, 300)), "zero": 0.0}.get(way, 0.5)
-        u = size * np.array([draw.uniform(-1.0, 1.0) for _ in range(N)])
-        if way == "not a number":
-            u[draw.randrange(N)] = math.nan
-        torque = {"torque": 1.0, "absurd torque": 10.0 ** draw.choice((2, 4, 300))}.get(way, 0.0)
-        tau = torque * np.array([draw.uniform(-3.0, 3.0) for _ in range(N)])
-        if draw.random() < 0.02:
+        if self._random.random() < 0.02:
             self._relayed = self._stamp
-        stamp = {
-            "unstamped": 0,
-            "relayed": self._relayed,
-            "of the clock": self._node.get_clock().now().nanoseconds,
-            "of the future": self._stamp + 10**12,
-        }.get(way, self._stamp)
-        msg = state(NAMES, [], 0.0, velocity=u, effort=tau if torque else [])
-        msg.header.stamp = ros.time_msg(stamp)
-        if np.isfinite(u).all():
+        clock = self._node.get_clock().now().nanoseconds
+        msg = command(self._random, way, self._stamp, self._relayed, clock)
+        if np.isfinite(msg.velocity).all():
             self._commanded = self._now
         active = self._node._law.active
         self._drive.send("joint_velocity_commands", msg)
@@ -192,14 +193,17 @@ class Battery:
         self._judge(self._now, None)
 
     def _recover(self) -> None:
-        """Check that, with good sensors and after a reset, the robot moves again."""
+        """Check that, with good sensors and after a reset, the robot moves again.
+
+        It may first have to return: with a slipped encoder a joint can have left its range.
+        """
         self._offset[:] = 0.0
         self._reset()
         self._drive.clock.now += 1.1  # two controllers may have been suspected
-        before = self.moved
-        for _ in range(8):
+        before, end = self.moved, self._now + 1.0
+        while self.moved == before:
+            assert self._now < end, [text for _, text in self._drive.log.lines[-5:]]
             self._period("good", "good")
-        assert self.moved > before, [text for _, text in self._drive.log.lines[-5:]]
         self._drive.log.lines.clear()
 
     # ------------------------------------------------------------------ the laws
@@ -267,3 +271,77 @@ def test_random_faults_move_no_joint_wrongly(make: Any, rate: float, interface: 
     assert moved > 10 * count
     if count > 100:
         assert kinds == {*(f"state {kind}" for kind in STATES), *(f"command {kind}" for kind in COMMANDS)}
+
+
+class PhysicsBattery:
+    """The node `physics`, which has the states of its own robot, held in the air.
+
+    Attributes
+    ----------
+    moved : int
+        Number of periods in which a goal moved.
+    """
+
+    def __init__(self, make: Any, rate: float, seed: int) -> None:
+        self.dt, self._random, self.moved = 1.0 / rate, random.Random(seed), 0
+        config = overlaid(load("poppy"), "physics").updated({"dt": self.dt, "physics.held": True})
+        self._physics, self._timeout = make("physics", config), config.plant.command_timeout
+        self._node, self._states = self._physics.node, self._physics.got["joint_states"]
+        self._most = np.abs(Drive.of(config, MODEL).angles(MODEL.effort_max))
+        self._commanded, self._relayed = -math.inf, 0
+
+    def sequence(self) -> None:
+        """Let faults happen; then commands end; then all is well again."""
+        draw, clock = self._random, self._physics.clock
+        end, until, way = clock.now + DURATION, 0.0, "good"
+        while clock.now < end:
+            if clock.now >= until:
+                way, until = draw.choices(list(COMMANDS), list(COMMANDS.values()))[0], clock.now + draw.uniform(0, 0.15)
+            self._period(*[way] * (3 if way == "several" else 1))
+            if draw.random() < 0.005:
+                assert self._physics.call("reset", Trigger.Request()).success
+        end = clock.now + self._timeout + 5 * CHECK
+        while clock.now < end:
+            self._period()
+        before = self.moved
+        for _ in range(8):
+            self._period("good")
+        assert self.moved > before, self._physics.log.lines[-5:]
+        self._physics.log.lines.clear()
+        self._states.clear()
+
+    def _period(self, *ways: str) -> None:
+        """Deliver commands, simulate the robot for a period, and check its goals."""
+        clock, node, draw = self._physics.clock, self._node, self._random
+        clock.now += self.dt * draw.choice((1.0, 1.0, 1.0, 0.5, 5.0))  # and periods that are missed
+        for way in ways:
+            if draw.random() < 0.02:
+                self._relayed = node._stamp
+            msg = command(draw, way, node._stamp, self._relayed, node.get_clock().now().nanoseconds)
+            if way != "none":
+                self._physics.send("joint_velocity_commands", msg)
+                self._commanded = clock.now if np.isfinite(msg.velocity).all() else self._commanded
+        law = node.plant._law
+        before = law.goal.copy()
+        node._on_period()
+        assert (np.abs(law.goal - before) <= self.dt * MODEL.velocity_max + 1e-9).all()
+        assert (law.goal >= MODEL.q_min - POPPY.safety.outside - 1e-9).all()
+        assert (law.goal <= MODEL.q_max + POPPY.safety.outside + 1e-9).all()
+        assert (np.abs(law._offset) <= self._most + 1e-12).all()
+        assert np.isfinite(self._states[-1].position).all()
+        if (law.goal != before).any():
+            self.moved += 1
+            assert clock.now - self._commanded <= self._timeout + 5 * self.dt + 1e-9, "moves on without commands"
+
+
+@pytest.mark.parametrize("rate", [100.0, pytest.param(200.0, marks=pytest.mark.long)])
+def test_random_faults_move_no_simulated_joint_wrongly(make: Any, rate: float) -> None:
+    """The node is started again after each 100 sequences."""
+    count, moved = (3 if rate == 100.0 else 2 * MANY * len(TOPIC)), 0
+    for first in range(0, count, 100):
+        battery = PhysicsBattery(make, rate, seed=first)
+        for _ in range(min(100, count - first)):
+            battery.sequence()
+        moved += battery.moved
+    print(f"\n{count} sequences at {rate:g} Hz, physics: goals moved in {moved} periods")
+    assert moved > 10 * count
