@@ -23,9 +23,10 @@ from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
+    from dqwalk_ros.config import Config
     from dqwalk_ros.studies.pushes import Limit
 
-__all__ = ["pushes", "table"]
+__all__ = ["pushes", "robocup", "table"]
 
 _LABELS = {
     "standing": "standing on both feet",
@@ -43,6 +44,7 @@ examples:
   dqwalk pushes --jobs 4 --set qp.solver=daqp
   dqwalk pushes --config poppy_dynamic_50hz --plant poppy_as_built --tolerance 0.05
   dqwalk pushes --moment standing --directions 16 --set standing.balance=1.0
+  dqwalk pushes --config poppy_dynamic --bottle 3          RoboCup: on the spot, from behind and in front
 """)
 @config_option("poppy")
 @plant_option(PHYSICS, "physics")
@@ -66,6 +68,13 @@ examples:
     show_default="0.36 % of M sqrt(g h)",
     help="Accuracy of each impulse [N s].",
 )
+@click.option(
+    "--bottle",
+    metavar="KG",
+    type=click.FloatRange(0.5, 20.0),
+    help="Push recovery of the RoboCup Humanoid League (rules of 2025): while the robot walks on the spot, a bottle on "
+    "a rope of 1.75 m hits its pelvis, from behind and from the front.",
+)
 @many_options("pushes")
 @params_option
 @set_option
@@ -77,6 +86,7 @@ def pushes(
     part: float,
     duration: float,
     tolerance: float | None,
+    bottle: float | None,
     many: Many,
     params: tuple[Path, ...],
     changes: tuple[str, ...],
@@ -93,25 +103,35 @@ def pushes(
     from dqwalk_ros.studies import pushes as study
 
     made = config_of(config, changes, plant=plant, params=params)
+    if bottle:
+        if moment == "standing":
+            raise ConfigError("--bottle hits a robot that walks on the spot: choose --moment left, right or all")
+        made, directions = made.updated({"gait.step_length": 0.0}), 2
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
-    moments = study.MOMENTS if moment == "all" else (moment,)
-    given: dict[str, Any] = {"duration": duration, "part": part, "tolerance": tolerance}
+    moments = (study.MOMENTS[1:] if bottle else study.MOMENTS) if moment == "all" else (moment,)
+    given: dict[str, Any] = {"duration": duration, "part": part, "tolerance": tolerance, "bottle": bottle or 0.0}
     prepare_study(many, "limits.jsonl", "pushes.csv", "pushes.txt", "pushes.png")
     with many.options("directions") as options:
         found = study.limits(made, many.folder, moments, directions, **given, **options)
     head = ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"]
     rows = [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found]
     by_moment = {_LABELS[key]: [one for one in found if one.moment == key] for key in moments}
-    figure = pushes_figure(by_moment, f"{load_model(made.robot).name}: largest push survived [N s]")
-    write_study(many, "pushes", head, rows, table(found, duration, study.impulse_scale(made)), figure)
+    name = load_model(made.robot).name
+    if bottle:
+        text = f"{table(found, f'momentum of a bottle of {bottle:g} kg')}\n\n{robocup(found, bottle, made)}"
+        figure = pushes_figure(by_moment, f"{name}: largest momentum of a bottle of {bottle:g} kg survived [N s]")
+    else:
+        text = table(found, f"impulse of a push of {duration:g} s on the pelvis", study.impulse_scale(made))
+        figure = pushes_figure(by_moment, f"{name}: largest push survived [N s]")
+    write_study(many, "pushes", head, rows, text, figure)
     return 0
 
 
-def table(found: Sequence[Limit], duration: float, scale: float) -> str:
-    """Return the impulses survived, a line per direction and a column per moment.
+def table(found: Sequence[Limit], what: str, scale: float | None = None) -> str:
+    """Return the impulses survived, described by `what`, a line per direction and a column per moment.
 
-    `duration` is that of the pushes [s], `scale` is M sqrt(g h) of the robot [N s].
+    With the `scale` M sqrt(g h) of the robot [N s], the weakest are also printed as J*, divided by it.
     """
     from dqwalk_ros.support.text_table import aligned
 
@@ -126,6 +146,22 @@ def table(found: Sequence[Limit], duration: float, scale: float) -> str:
         for direction in dict.fromkeys(one.direction for one in found)
     ]
     rows.append(["weakest", *(cell(least[m]) for m in moments)])
+    if scale:
+        rows.append(["J*", *(f"{least[m].survived / scale:.3f}" for m in moments)])
     text = aligned(rows, ("towards [deg, 0 ahead, 90 left]", *moments), right=range(len(moments) + 1))
-    head = f"largest impulse survived [N s], a push of {duration:g} s on the pelvis; M sqrt(g h) is {scale:.3g} N s"
+    head = f"largest {what} that is survived [N s]"
+    head += f"; J* is it divided by M sqrt(g h) = {scale:.3g} N s" if scale else ""
     return f"{head}\n\n{text}"
+
+
+def robocup(found: Sequence[Limit], bottle: float, config: Config) -> str:
+    """Return the distances of the release and the measure M of the weaker foot, from behind and from the front."""
+    from dqwalk_ros.studies.loads import ROPE, release_distance
+    from dqwalk_ros.studies.pushes import robocup_measure
+
+    lines = []
+    for where, direction in (("from behind", 0.0), ("from the front", math.pi)):
+        least = min(one.survived for one in found if abs(one.direction - direction) < 1e-6)
+        distance, measure = release_distance(bottle, least), robocup_measure(config, bottle, least)
+        lines.append(f"{where}: released {distance:.2f} m away, on a rope of {ROPE:g} m: M = {measure:.2f}")
+    return "\n".join(lines)

@@ -1,4 +1,8 @@
-"""Finds the largest impulse on the pelvis that the robot survives, for each direction, by bisection."""
+"""Finds the largest impulse on the pelvis that the robot survives, for each direction, by bisection.
+
+The impulse is that of a force, or the momentum of a bottle on a rope: the test of push recovery of the RoboCup Humanoid
+League (rules of 2025, part A).
+"""
 
 from __future__ import annotations
 
@@ -14,19 +18,21 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind, Timed
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.base import pushed_periods
-from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
 from dqwalk_ros.studies.bisection import largest
+from dqwalk_ros.studies.loads import Bottle, ConstantForce, Load, drop, farthest_momentum
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.errors import DqwalkError, PlantError
 
-__all__ = ["MOMENTS", "Limit", "Push", "every_limit", "impulse_scale", "limit", "limits", "pushed"]
+__all__ = ["MOMENTS", "Limit", "Push", "every_limit", "impulse_scale", "limit", "limits", "pushed", "robocup_measure"]
 
 MOMENTS = ("standing", "left", "right")
 """In a stance on both feet, or in the middle of a step on the left or on the right foot."""
@@ -41,7 +47,7 @@ _FIRST, _MOST, _TOLERANCE = 0.045, 1.5, 0.0036
 
 @dataclass(frozen=True)
 class Push:
-    """A constant force on the pelvis for some time.
+    """A push on the pelvis: a constant force for some time, or a bottle on a rope.
 
     Attributes
     ----------
@@ -50,11 +56,13 @@ class Push:
     direction : float
         Direction of the force, 0 ahead, pi/2 to the left [rad].
     impulse : float
-        [N s]
+        Of the force, or momentum of the bottle [N s].
     duration : float
-        Rounded to whole control periods, without an effect on the impulse [s].
+        Of the force: rounded to whole control periods, without an effect on the impulse [s].
     part : float
         Fraction of the step after which the push begins.
+    bottle : float
+        Mass of the bottle [kg]; 0: a constant force.
     """
 
     moment: str
@@ -62,6 +70,13 @@ class Push:
     impulse: float
     duration: float = 0.1
     part: float = 0.5
+    bottle: float = 0.0
+
+    def load(self, robot_mass: float, dt: float) -> Load:
+        """Return what pushes a robot of a mass [kg], with a control period `dt` [s]."""
+        if self.bottle:
+            return Bottle(self.bottle, self.impulse, robot_mass)
+        return ConstantForce(self.impulse, pushed_periods(self.duration, dt))
 
 
 class Limit(msgspec.Struct, frozen=True):
@@ -72,7 +87,7 @@ class Limit(msgspec.Struct, frozen=True):
     direction : float
         [rad]
     survived : float
-        Largest impulse survived [N s].
+        Largest impulse survived, or momentum of the bottle [N s].
     failed : float or None
         Smallest impulse that was not survived [N s]; None if the largest one tried was survived.
     reason : str
@@ -89,8 +104,23 @@ class Limit(msgspec.Struct, frozen=True):
 def impulse_scale(config: Config) -> float:
     """Return M sqrt(g h) [N s], the scale of impulses for a comparison of robots; h is the height of the CoM."""
     model = load_model(config.robot)
-    height = float(Kinematics(model, make_walk(config, model).posture, Foot.LEFT).com[2])
-    return sum(body.mass for body in model.bodies) * math.sqrt(GRAVITY * height)
+    return model.mass * math.sqrt(GRAVITY * float(_posture(config, model).com[2]))
+
+
+def robocup_measure(config: Config, bottle: float, momentum: float) -> float:
+    """Return M = sqrt(H)/h_c m_B/m_R h_i/h_c [m^-0.5], by which the RoboCup Humanoid League ranks push recovery.
+
+    H is the height from which the bottle of mass m_B swings, m_R the mass of the robot, h_c the height of its CoM, and
+    h_i that of the hit, here of the pelvis.
+    """
+    model = load_model(config.robot)
+    kin = _posture(config, model)
+    com, hit = float(kin.com[2]), float(kin.point(model.pelvis)[2])
+    return math.sqrt(drop(bottle, momentum)) / com * bottle / model.mass * hit / com
+
+
+def _posture(config: Config, model: RobotModel) -> Kinematics:
+    return Kinematics(model, make_walk(config, model).posture, Foot.LEFT)
 
 
 def pushed(config: Config, push: Push) -> str:
@@ -109,14 +139,15 @@ def pushed(config: Config, push: Push) -> str:
     varied = config.updated(values)
     model = load_model(varied.robot)
     controller, plant = make_controller(varied, model), make_plant(varied.plant.name or "physics", varied, model)
-    lasts = pushed_periods(push.duration, varied.dt) * varied.dt
-    force = push.impulse / lasts * np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
+    load = push.load(model.mass, varied.dt)
+    towards = np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
     began, why, transfer = math.inf, "", _transfer(varied)
     try:
         for state, _ in closed_loop(controller, plant):
             if began == math.inf and _due(controller, state.time, 0 if standing else pushed_at, push.part):
                 began = state.time
-            plant.push(force if began <= state.time < began + lasts - 1e-9 else np.zeros(3))
+            ahead = float(towards @ DQ(plant.truth.pelvis).translation()) if push.bottle else 0.0
+            plant.push(load.force(ahead, varied.dt) * towards if began <= state.time else np.zeros(3))
             if standing and state.time > min(began, transfer + _LATE) + _STANDS:
                 break
         if plant.fallen:
@@ -145,18 +176,25 @@ def _due(controller: VelocityController, time: float, number: int, part: float) 
 
 
 def limit(
-    config: Config, duration: float, part: float, tolerance: float, index: int, point: Mapping[str, Any]
+    config: Config,
+    duration: float,
+    part: float,
+    bottle: float,
+    tolerance: float,
+    index: int,
+    point: Mapping[str, Any],
 ) -> Limit:
     """Find the largest impulse that is survived at the moment and in the direction of `point`, to a tolerance [N s].
 
-    Duration and part are those of `Push`; the index is not used.
+    Duration, part and bottle are those of `Push`; the index is not used.
     """
     scale = impulse_scale(config)
+    most = farthest_momentum(bottle) if bottle else _MOST * scale
 
     def fails(impulse: float) -> str:
-        return pushed(config, Push(point["moment"], point["direction"], impulse, duration, part))
+        return pushed(config, Push(point["moment"], point["direction"], impulse, duration, part, bottle))
 
-    return Limit(**point, **largest(fails, _FIRST * scale, _MOST * scale, tolerance)._asdict())
+    return Limit(**point, **largest(fails, _FIRST * scale, most, tolerance)._asdict())
 
 
 def limits(
@@ -167,16 +205,18 @@ def limits(
     *,
     duration: float = 0.1,
     part: float = 0.5,
+    bottle: float = 0.0,
     tolerance: float | None = None,
     **options: Any,
 ) -> list[Limit]:
     """Find the limit of each of some `MOMENTS` in each of some directions; see `every_limit`.
 
-    Duration and part are those of `Push`; the tolerance is in [N s], by default 0.36 % of `impulse_scale`.
+    Duration, part and bottle are those of `Push`; the tolerance is in [N s], by default 0.36 % of `impulse_scale`.
     """
     exact = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
-    task = functools.partial(limit, config, duration, part, exact)
-    return every_limit(task, (config, duration, part, exact), out, moments, directions, **options)
+    settings = (config, duration, part, bottle, exact)
+    task = functools.partial(limit, *settings)
+    return every_limit(task, settings, out, moments, directions, **options)
 
 
 def every_limit(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 import resource
 import signal
@@ -22,9 +23,13 @@ from pyarrow import parquet
 from dqwalk_ros import cli
 from dqwalk_ros.cli.robustness import table
 from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.studies import pushes, read, robustness, walk_all
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.studies import loads, pushes, read, robustness, walk_all
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.errors import ConfigError, ModelError, PlantError, StudyError
@@ -394,6 +399,56 @@ def test_limits_of_pushes_are_saved_and_printed(tmp_path, monkeypatch, capsys):
     assert cli.main([*command, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert (tmp_path / "pushes.txt").read_text() == shown
+
+
+def test_the_bottle_of_robocup_is_measured_by_the_rules(tmp_path, monkeypatch, capsys):
+    """M and the distance of the release, of the weaker foot."""
+
+    def pushed(config, push):
+        assert config.gait.step_length == 0.0
+        assert push.bottle == 3.0
+        return "fell" if push.impulse > (2.0 if push.direction > 1.0 else 3.0) + (push.moment == "left") else ""
+
+    monkeypatch.setattr(pushes, "pushed", pushed)
+    assert cli.main(["pushes", "--bottle", "3", "--jobs", "1", "--tolerance", "1e-4", "--out", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    model = load_model(POPPY.robot)
+    kin = Kinematics(model, make_walk(POPPY, model).posture, Foot.LEFT)
+    for where, momentum in (("from behind", 3.0), ("from the front", 2.0)):
+        drop = (momentum / 3.0) ** 2 / (2.0 * 9.81)
+        away = math.sqrt(1.75**2 - (1.75 - drop) ** 2)
+        measure = math.sqrt(drop) / kin.com[2] * 3.0 / model.mass * kin.point(model.pelvis)[2] / kin.com[2]
+        assert f"{where}: released {away:.2f} m away, on a rope of 1.75 m: M = {measure:.2f}" in shown
+    assert cli.main(["pushes", "--bottle", "3", "--moment", "standing", "--out", str(tmp_path)]) == 2
+
+
+@pytest.mark.parametrize("mass", [3.0, 10.0])
+@pytest.mark.parametrize("dt", [0.0025, 0.005, 0.02])
+def test_a_bottle_loses_the_momentum_that_a_free_body_receives(mass, dt):
+    """The hit is nearly inelastic, for any period of control."""
+    bottle, robot, x, v = loads.Bottle(mass, 2.0, 2.6), 2.6, 0.0, 0.0
+    impulse = [dt * bottle.force(x, dt)]
+    while impulse[-1] > 0.0:
+        v += impulse[-1] / robot
+        x += v * dt
+        impulse.append(dt * bottle.force(x, dt))
+    inelastic = 2.0 * robot / (mass + robot)
+    assert inelastic < sum(impulse) < 1.15 * inelastic
+    assert len(impulse) * dt < 0.2
+
+
+def test_the_farthest_bottle_is_released_at_three_quarters_of_the_rope():
+    for mass in (3.0, 5.0, 10.0):
+        assert loads.release_distance(mass, loads.farthest_momentum(mass)) == pytest.approx(0.75 * loads.ROPE)
+
+
+@pytest.mark.long
+def test_a_bottle_on_a_walk_on_the_spot():
+    """Poppy walks on after 1.5 N s, and falls after 6, from behind and from the front."""
+    config = overlaid(load("poppy_dynamic"), "physics").updated({"gait.step_length": 0.0})
+    for direction in (0.0, math.pi):
+        assert not pushes.pushed(config, pushes.Push("left", direction, 1.5, bottle=3.0))
+        assert "fell" in pushes.pushed(config, pushes.Push("left", direction, 6.0, bottle=3.0))
 
 
 def test_a_small_push_is_survived_and_a_large_one_is_not():
