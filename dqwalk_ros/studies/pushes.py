@@ -146,7 +146,8 @@ def pushed(config: Config, push: Push) -> str:
         for state, _ in closed_loop(controller, plant):
             if began == math.inf and _due(controller, state.time, 0 if standing else pushed_at, push.part):
                 began = state.time
-            ahead = float(towards @ DQ(plant.truth.pelvis).translation()) if push.bottle else 0.0
+            truth = plant.truth if push.bottle else None
+            ahead = float(towards @ DQ(truth.pelvis).translation()) if truth else 0.0
             plant.push(load.force(ahead, varied.dt) * towards if began <= state.time else np.zeros(3))
             if standing and state.time > min(began, transfer + _LATE) + _STANDS:
                 break
