@@ -1,8 +1,8 @@
 """Compilation of numerical functions by numba, and the cache of their machine code on disk.
 
 Numba recompiles a cached function only when its own file changes, although its machine code contains the functions
-that it calls from other files. So the cache folder is named after a digest of all source files of this package in which
-the word jit occurs: a change in any of them recompiles all.
+that it calls from other files. So the cache folder of a module is named after a `digest` of the module and of all that
+it imports: a change recompiles the functions of its module and of those that depend on it.
 
 Numba executes what it finds in the cache, so the cache is in a folder that no other user can have filled, or nowhere.
 """
@@ -10,10 +10,12 @@ Numba executes what it finds in the cache, so the cache is in a folder that no o
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import logging
 import os
 import pathlib
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -25,28 +27,54 @@ from numba.core import cgutils, event
 from dqwalk_ros.support.own_folder import own_folder, temporary
 
 __all__ = [
-    "COMPILING", "FLOAT", "INTEGER", "MASK", "MATRIX", "NOTHING", "VECTOR", "Signature", "jit", "record",
+    "COMPILING", "FLOAT", "INTEGER", "MASK", "MATRIX", "NOTHING", "VECTOR", "Signature", "digest", "jit", "record",
 ]  # fmt: skip
 
 
+_ROOT = pathlib.Path(__file__).parents[2]
+_IMPORT = re.compile(r"^ *from (dqwalk_ros[.\w]*) import", re.MULTILINE)
+
+
+@functools.cache
+def _read(module: str) -> tuple[str, tuple[str, ...]]:
+    """Return the text of a module of this package, and the names of those that it imports."""
+    place = _ROOT.joinpath(*module.split("."))
+    text = (place / "__init__.py" if place.is_dir() else place.with_suffix(".py")).read_text(encoding="utf-8")
+    return text, tuple(_IMPORT.findall(text))
+
+
+@functools.cache
+def digest(module: str) -> str:
+    """Return a digest of the compiled functions of a module and of all modules that it imports, directly or not.
+
+    A module of another package may call any function of this one, so that all count.
+    """
+    left, found = [module], set[str]()
+    if module.partition(".")[0] != "dqwalk_ros":
+        left = [".".join(file.relative_to(_ROOT).with_suffix("").parts) for file in _ROOT.glob("dqwalk_ros/**/*.py")]
+    while left:
+        if (name := left.pop()) not in found:
+            found.add(name)
+            left += _read(name)[1]
+    texts = (_read(name)[0] for name in sorted(found))
+    return hashlib.sha256("".join(text for text in texts if "jit" in text).encode()).hexdigest()[:16]
+
+
 def _cache_folder() -> pathlib.Path:
-    """Return the folder of the cache: in the user's cache folder, or in the temporary one where that is read-only."""
-    package = pathlib.Path(__file__).parents[1]
-    sources = (file.read_bytes() for file in sorted(package.rglob("*.py")))
-    digest = hashlib.sha256(b"".join(text for text in sources if b"jit" in text)).hexdigest()
+    """Return the folder of the caches: in the user's cache folder, or in the temporary one where that is read-only."""
     caches = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     try:
-        folder = own_folder(caches / "dqwalk_ros")
+        return own_folder(caches / "dqwalk_ros")
     except OSError:
-        folder = own_folder(temporary())
-    return folder / digest[:16]
+        return own_folder(temporary())
 
 
 _CONFIG: Any = numba.config
+_folder: pathlib.Path | None = None  # numba's own choice
 _no_cache = ""
 if "NUMBA_CACHE_DIR" not in os.environ:
     try:
-        _CONFIG.CACHE_DIR = str(_cache_folder())
+        _folder = _cache_folder()
     except OSError as error:
         _no_cache = f"; in each process, because there is no cache ({error.strerror}: '{error.filename}')"
 
@@ -77,8 +105,12 @@ def jit(function: Callable[..., Any]) -> Any:
     """Return `function` compiled on its first call; floating-point operations are not reordered (no fast-math)."""
     compiled = numba.njit(fastmath=False, error_model="numpy")(function)
     if not _no_cache and not _CONFIG.DISABLE_JIT:
+        others = _CONFIG.CACHE_DIR
+        if _folder is not None:
+            _CONFIG.CACHE_DIR = str(_folder / digest(function.__module__))
         with contextlib.suppress(RuntimeError):  # a function of no file, such as one typed at a prompt
             compiled.enable_caching()
+        _CONFIG.CACHE_DIR = others
     return compiled
 
 
@@ -104,6 +136,7 @@ class Signature:
 
     def __init__(self, returned: Any, *arguments: Any) -> None:
         self._type = (types.Tuple(returned) if isinstance(returned, tuple) else returned)(*arguments)
+        self._addresses: dict[Any, int] = {}
 
     def table(self, functions: Sequence[Callable[..., Any]]) -> Any:
         """Return the addresses of compiled functions; where numba is disabled, the functions themselves.
@@ -118,6 +151,8 @@ class Signature:
         return list(functions) if _CONFIG.DISABLE_JIT else np.array([*map(self._address, functions)], np.int64)
 
     def _address(self, function: Any) -> int:
+        if function in self._addresses:
+            return self._addresses[function]
         try:
             made = function.get_compile_result(self._type)
         except AttributeError:
@@ -128,6 +163,7 @@ class Signature:
         if found != wanted:
             raise TypeError(f"{function.py_func.__qualname__} returns {found}, but must return {wanted}")
         address: int = made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+        self._addresses[function] = address
         return address
 
     @property

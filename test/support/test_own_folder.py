@@ -102,7 +102,7 @@ def homeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_without_a_home_the_cache_is_in_the_temporary_folder(homeless: Path) -> None:
-    assert _cache_folder().parent == homeless / f"dqwalk_ros-{os.getuid()}"
+    assert _cache_folder() == homeless / f"dqwalk_ros-{os.getuid()}"
     assert [path.name for path in homeless.iterdir()] == [f"dqwalk_ros-{os.getuid()}"]
 
 

@@ -19,6 +19,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, compose
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.support.compiled import digest
 
 
 def walks() -> None:
@@ -46,7 +47,7 @@ def compile_all() -> None:
     """Compile in two processes, unless this was done since a compiled function changed, or nothing is compiled."""
     if numba.config.DISABLE_JIT:
         return
-    done = Path(compose.stats.cache_path) / "all_for_tests"
+    done = Path(compose.stats.cache_path) / f"all_for_tests_{digest(__name__)}"
     if not done.exists():
         parts = [subprocess.Popen([sys.executable, __file__, name]) for name in ("walks", "estimator")]
         codes = [part.wait() for part in parts]
