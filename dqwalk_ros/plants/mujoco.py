@@ -44,7 +44,6 @@ class PhysicsPlant(EnginePlant):
         self.data: Any = mujoco.MjData(self.mj)
         self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
         self._xpos, self._xquat, self._xmat = self.data.xpos, self.data.xquat, self.data.xmat
-        self._cvel = self.data.cvel
         self._sensed, self._torque = self.data.sensordata, self.data.qfrc_actuator
         joints = [self.mj.joint(name) for name in model.joint_names]
         self._qadr = np.array([int(j.qposadr[0]) for j in joints])
@@ -52,6 +51,8 @@ class PhysicsPlant(EnginePlant):
         self._root, self._pelvis_id, self._imu = (
             self.mj.body(link).id for link in (model.root, model.pelvis, model.imu_link)
         )
+        self._imu_orientation, self._imu_axes = self._xquat[self._imu], self._xmat[self._imu].reshape(3, 3)
+        self._imu_turning = self.data.cvel[self._imu, :3]
         self._bodies = {link: self.mj.body(link).id for link in (model.pelvis, *(model.soles[f].frame for f in Foot))}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
@@ -71,25 +72,24 @@ class PhysicsPlant(EnginePlant):
         return time
 
     def _run(self, goals: Array, steps: int) -> Array:
-        mj, data, torque = self.mj, self.data, np.zeros_like(self._torque)
+        mj, data, torque = self.mj, self.data, np.zeros(len(self._torque))
         self._goals[:] = goals
         for _ in range(steps):
             # mj_step1 has computed positions and velocities already; mj_step2 applies the forces
             mujoco.mj_step2(mj, data)
             torque += self._torque
             mujoco.mj_step1(mj, data)
-        out: Array = torque[self._vadr]
-        return out
+        return torque.take(self._vadr)
 
     def push(self, force: ArrayLike) -> None:
         """Push the pelvis with `force` (3,) [N] in world axes until the next call."""
         self.data.xfrc_applied[self._pelvis_id, :3] = np.asarray(force, dtype=np.float64)
 
     def _joints(self) -> tuple[Array, Array]:
-        return self._qpos[self._qadr], self._qvel[self._vadr]
+        return self._qpos.take(self._qadr), self._qvel.take(self._vadr)
 
     def _imu_motion(self) -> tuple[Array, Array]:
-        return self._xquat[self._imu], self._cvel[self._imu, :3] @ self._xmat[self._imu].reshape(3, 3)
+        return self._imu_orientation, self._imu_turning @ self._imu_axes
 
     def _acceleration(self) -> Array:
         out = np.empty(6)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
-from dqwalk_ros.robot.limits import FASTEST, JointLimits, clamp_effort, unreachable
+from dqwalk_ros.robot.limits import FASTEST, JointLimits, unreachable
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive, Servos
 from dqwalk_ros.support.arrays import Array
@@ -107,9 +107,15 @@ class AngleGate:
         """Whether every joint has an angle to be used."""
         return bool(np.isfinite(self.q).all())
 
+    @property
+    def oldest(self) -> float:
+        """Time at which the oldest of the angles was measured [s]."""
+        time: float = _least(self.at)
+        return time
+
     def age(self, time: float) -> float:
         """Return the age of the oldest of the angles at `time` [s]."""
-        return time - float(self.at.min())
+        return time - self.oldest
 
     def fresh(self, time: float) -> bool:
         """Return whether no angle is older than the timeout at `time` [s]."""
@@ -133,11 +139,12 @@ class AngleGate:
             Whether commands move the joints.
         """
         taken = np.zeros(len(q), np.bool_)
-        self.rejected += _judge(
+        rejected, jumps = _judge(
             q, at, moving, self._speed, self._slack, self._longest(),
             self.q, self.at, self._last, self._last_at, self.jumps, self._agreeing, taken,
         )  # fmt: skip
-        if moving and not self.fault and self.jumps.max() >= JUMPS:
+        self.rejected += rejected
+        if moving and not self.fault and jumps >= JUMPS:
             names = [self._names[i] for i in np.flatnonzero(self.jumps >= JUMPS)]
             self.fault = f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} jumped to another angle"
         return taken
@@ -202,9 +209,10 @@ class ServoGoals:
         self._fastest = np.minimum(limits.velocity_max, FASTEST)
         self._step = np.maximum(np.broadcast_to(resolution, (n,)), 1e-12)
         self._rate, self._latency = rate, latency
-        self._most = self._offset_of(np.minimum(limits.effort_max, np.finfo(float).max))  # of full torques
-        self._side, self._nearest = np.zeros(n), np.zeros(n)
-        self.runaway = np.zeros(n, np.bool_)
+        full = drive.angles(np.minimum(limits.effort_max, np.finfo(float).max))
+        self._most = np.minimum(full, _MOST_OFFSET)  # of full torques
+        self._at, self._side, self._nearest = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.runaway, self._ran_away = np.zeros(n, np.bool_), False
         self.active = False
         self._begin(gate.q.copy(), np.zeros(n))
 
@@ -254,7 +262,7 @@ class ServoGoals:
     def _begin(self, wanted: Array, offset: Array) -> None:
         self.wanted, self._offset = wanted, offset
         self.goal = self._sent = wanted + offset
-        self._side[:], self.runaway[:] = 0.0, False
+        self._side[:], self.runaway[:], self._ran_away = 0.0, False, False
         self._history = CommandHistory(self._drive.delay, len(offset))
         self._written = -math.inf
         self._queue: deque[tuple[float, Array]] = deque()
@@ -267,21 +275,22 @@ class ServoGoals:
         """Let no command have an effect; use no angle, and clear the fault, until `JUMPS` in a row agree."""
         self.end()
         self.gate.forget()
-        self.runaway[:] = False
+        self.runaway[:], self._ran_away = False, False
 
     @property
     def fault(self) -> str:
         """Why no command has an effect before the next `begin` or `forget`, with the names of joints; else empty."""
-        if self.gate.fault or not self.runaway.any():
+        if self.gate.fault or not self._ran_away:
             return self.gate.fault
         names = [self._limits.joint_names[i] for i in np.flatnonzero(self.runaway)]
         return f"{', '.join(names)} moved away from {'its goal' if len(names) == 1 else 'their goals'} at full torque"
 
     def measure(self, q: Array, at: Array | float) -> NDArray[np.bool_]:
         """Process measured angles (n,) [rad] and their times [s], shape () or (n,); return which of them are used."""
-        used = self.gate.measure(q, np.full(q.shape, at, dtype=np.float64), self.active)
+        self._at[:] = at
+        used = self.gate.measure(q, self._at, self.active)
         if self.active:
-            _find_runaways(self.gate.q, self.goal, self._most, self._side, self._nearest, self.runaway)
+            self._ran_away = _find_runaways(self.gate.q, self.goal, self._most, self._side, self._nearest, self.runaway)
         return used
 
     def moves(self, time: float) -> bool:
@@ -302,15 +311,14 @@ class ServoGoals:
         """
         if not self.moves(time):
             return False
-        u = np.minimum(np.maximum(velocity, -self._fastest), self._fastest)
         if effort is not None:
             self._offset = self._offset_of(effort)
-        expected = self.gate.q + self._history.pending(float(self.gate.at.min()))
-        self._history.add(time, u, dt)
-        self.wanted, self.goal, rounded = _goals(
-            self.wanted, u, dt, expected, self.window, self._limits.q_min, self._limits.q_max, self._offset,
-            self.goal, self._fastest, self._step,
+        pending = self._history.pending(self.gate.oldest)
+        u, self.wanted, self.goal, rounded = _goals(
+            self.wanted, velocity, dt, self.gate.q, pending, self.window, self._limits.q_min, self._limits.q_max,
+            self._offset, self.goal, self._fastest, self._step,
         )  # fmt: skip
+        self._history.add(time, u, dt)
         if self._rate <= 0.0 or time - self._written >= 1.0 / self._rate - 1e-9:
             self._written = time
             self._queue.append((time + self._latency, rounded))
@@ -329,16 +337,24 @@ class ServoGoals:
 
     def _offset_of(self, effort: Array) -> Array:
         """Return the offsets (n,) of the goals [rad] that produce torques, within the effort limits."""
-        angles = self._drive.angles(clamp_effort(effort, self._limits))
-        out: Array = np.minimum(np.maximum(angles, -_MOST_OFFSET), _MOST_OFFSET)
+        out: Array = np.minimum(np.maximum(self._drive.angles(effort), -self._most), self._most)
         return out
+
+
+@jit
+def _least(at):  # type: ignore[no-untyped-def]
+    """Return the least of the times `at` (N,) [s], in a tenth of the time that numpy takes."""
+    return at.min()
 
 
 @jit
 def _judge(  # type: ignore[no-untyped-def]
     q, at, moving, speed, slack, longest, used, used_at, last, last_at, jumps, agreeing, taken
 ):
-    """Store which of the angles q (N,), measured at the times `at` (N,), are used; return how many are impossible."""
+    """Store which of the angles q (N,), measured at the times `at` (N,), are used.
+
+    Return how many are impossible, and the most consecutive ones of a joint.
+    """
     far = _unreachable(q, used, np.minimum(at - used_at, longest), speed, slack)
     apart = _unreachable(q, last, np.minimum(at - last_at, longest), speed, slack)
     rejected = 0
@@ -353,13 +369,14 @@ def _judge(  # type: ignore[no-untyped-def]
             used[i], used_at[i], jumps[i] = q[i], at[i], 0
         elif np.isfinite(used[i]):
             rejected += 1
-    return rejected
+    return rejected, jumps.max()
 
 
 @jit
 def _find_runaways(q, goal, most, side, nearest, runaway):  # type: ignore[no-untyped-def]
     """Set `runaway` (n,) of joints that have moved away from their goals at errors larger than `most` (n,) [rad].
 
+    Return whether there is any.
     `side` (n,) is the sign of such an error, 0 without one; `nearest` (n,) the angle nearest to the goal since [rad].
     """
     for i in range(q.shape[0]):
@@ -369,22 +386,25 @@ def _find_runaways(q, goal, most, side, nearest, runaway):  # type: ignore[no-un
             side[i], nearest[i] = now, q[i]
         elif now * (nearest[i] - q[i]) > _AWAY:
             runaway[i] = True
+    return runaway.any()
 
 
 @jit
 def _goals(  # type: ignore[no-untyped-def]
-    wanted, velocity, dt, expected, window, lower, upper, offset, goal, fastest, step
+    wanted, velocity, dt, q, pending, window, lower, upper, offset, goal, fastest, step
 ):
-    """Return, after one period, the commanded positions without and with the offsets, and the latter rounded.
+    """Return velocities within their limits [rad/s], and after one period the commanded positions [rad].
 
-    All have the shape (n,) [rad]. A joint outside its range may only move towards it.
+    These are without and with the offsets, and the latter rounded; all have the shape (n,). The command will find the
+    joints at q + `pending`. A joint outside its range may only move towards it.
     """
-    moved, shifted, rounded = np.empty_like(wanted), np.empty_like(wanted), np.empty_like(wanted)
+    u, moved, shifted, rounded = np.empty((4, wanted.shape[0]))
     for i in range(wanted.shape[0]):
+        u[i], expected = min(max(velocity[i], -fastest[i]), fastest[i]), q[i] + pending[i]
         low, high = min(lower[i], wanted[i]), max(upper[i], wanted[i])
-        near = min(max(wanted[i] + dt * velocity[i], expected[i] - window), expected[i] + window)
+        near = min(max(wanted[i] + dt * u[i], expected - window), expected + window)
         moved[i] = min(max(near, low), high)
         least, most = goal[i] - dt * fastest[i], goal[i] + dt * fastest[i]
         shifted[i] = min(max(min(max(moved[i] + offset[i], low), high), least), most)
         rounded[i] = np.rint(shifted[i] / step[i]) * step[i]
-    return moved, shifted, rounded
+    return u, moved, shifted, rounded

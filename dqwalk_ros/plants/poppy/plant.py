@@ -358,7 +358,7 @@ class PoppyPlant(Plant):
     @property
     def measured_at(self) -> float:
         """Time at which the oldest of the angles was measured, by the clock of the plant [s]."""
-        return float(self._gate.at.min())
+        return self._gate.oldest
 
     @property
     def age(self) -> float:
