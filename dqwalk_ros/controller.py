@@ -13,7 +13,6 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.estimation.load import FootLoads
 from dqwalk_ros.estimation.vertical import filtered_vertical
-from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -205,19 +204,18 @@ class VelocityController:
             self._resume(state, held)
         elif self._taking_over is not None:
             self._begin_next_phase(state, self._kinematics(state, self.phase.base))
-        kin, now = self._evaluate(state, dt)
+        kin, error = self._observe(state)
         self._last_state = state
-        while not self.finished and self._is_over(now, state.elapsed):
+        while not self.finished and self._is_over(error, state.elapsed):
             self._begin_next_phase(state, kin)
-            kin, now = self._evaluate(state, dt)
-        self.kin, self.error = kin, now.error
+            kin, error = self._observe(state)
+        self.kin, self.error = kin, error
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
+        # the command is computed for the predicted state at which it takes effect
         state.elapsed += self._drive.delay
-        if self._drive.delay > 0.0:  # the command is computed for the predicted state at which it takes effect
-            ahead = state.q + self._history.pending(state.time)
-            now = self.phase.evaluate(ahead, kin.up, state.elapsed, dt, self._limit)
-        self.problem = now.problem  # (U6)
+        ahead = state.q + self._history.pending(state.time)
+        self.problem = self.phase.evaluate(ahead, kin.up, state.elapsed, dt, self._limit).problem  # (U6)
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
         u = _within(u, self._u, self.model.velocity_max)
@@ -243,14 +241,14 @@ class VelocityController:
         effort = self._active.effort(self.phase, kin, state, u) + self._drive.lead * u
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
 
-    def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, Evaluation]:
-        """Return the kinematics at `state`, and the evaluation of the phase, which the walk may update."""
+    def _observe(self, state: State) -> tuple[Kinematics, float]:
+        """Return the kinematics at `state`, and the error of the phase, which the walk may update."""
         kin, state.elapsed = self._kinematics(state, self.phase.base), state.time - self.phase_began
         self.loads = state.loads = self._foot_loads.update(kin, state)
         if (change := self._active.observe(self.phase, kin, state)) is not None:
             self.phase.apply(change)
             self._taking_over = change.walk
-        return kin, self.phase.evaluate(kin.q, kin.up, state.elapsed, dt, self._limit)
+        return kin, self.phase.assembly.error(kin, state.elapsed)
 
     def _kinematics(self, state: State, base: Foot) -> Kinematics:
         kin = Kinematics.measured(self.model, state.q, base, state.up)
@@ -260,11 +258,11 @@ class VelocityController:
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
         return kin
 
-    def _is_over(self, now: Evaluation, elapsed: float) -> bool:
+    def _is_over(self, error: float, elapsed: float) -> bool:
         try:
-            return self.phase.rule.is_over(now.error, elapsed)
-        except PhaseError as error:
-            raise error.held_by(self.active) from error
+            return self.phase.rule.is_over(error, elapsed)
+        except PhaseError as failure:
+            raise failure.held_by(self.active) from failure
 
     def _begin_next_phase(self, state: State, kin: Kinematics) -> None:
         """Begin the next phase at `state`; `kin` is in the base frame of the previous phase."""
@@ -329,5 +327,6 @@ def _within(values: Array, before: Array, most: Array) -> Array:
 
     Walks and pushes stay below; a measurement that is wrong, but possible, is bounded so.
     """
-    out: Array = np.clip(np.clip(values, before - most, before + most), -most, most)
+    least, largest = np.maximum(before - most, -most), np.minimum(before + most, most)
+    out: Array = np.minimum(np.maximum(values, least), largest)
     return out

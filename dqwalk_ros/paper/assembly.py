@@ -138,6 +138,17 @@ def _assemble(
 
 
 @jit
+def _first_error(
+    bodies: tuple[Any, ...], watched: tuple[Any, ...], function: int, parameters: Array, elapsed: float
+) -> float:
+    """Return the norm of the error of the task with a function and parameters, which watches these features."""
+    seen = Watched(*watched)
+    observe(Bodies(*bodies), seen)
+    e, _, _ = _call(function, seen.s, parameters, elapsed)
+    return math.sqrt(e @ e)
+
+
+@jit
 def _evaluate(q: Array, s: Array, stack: _Stack, elapsed: float, values: Array) -> None:
     """Fill values, gradients and rates of all tasks and constraints, and the distances from the joint limits."""
     limits = stack.spans.shape[0] - 2
@@ -279,14 +290,14 @@ class Assembly:
             self.rows,
             np.array(groups, dtype=np.int64).reshape(-1, 2),
         )
+        self._first = tuple(Watched.of(tasks[0].watches, tree)), functions[0], parameters[parts[0]]
         self._unlimited = np.full(n, np.inf)
 
     def __call__(
         self, q: Array, up: Array, elapsed: float = math.inf, dt: float | None = None, velocity: Array | None = None
     ) -> Evaluation:
         """Return values and quadratic program; see `walk.Phase.evaluate`."""
-        for live, copy in self._live:
-            copy[:] = live
+        self._read_live()
         (k, n), r = self._shape, self.task_rows
         values, J = np.empty(k + 2 * n), np.empty((k, n))
         H, c, w, lower, upper = np.empty((n, n)), np.empty(n), np.empty(k - r), np.empty(n), np.empty(n)
@@ -296,6 +307,18 @@ class Assembly:
             self._tree, self._bodies, self._watched, self._stack, self._form, values, J, numbers,
         )  # fmt: skip
         return Evaluation(self, values, J, Problem(*numbers, self.names), error)
+
+    def error(self, kin: Kinematics, elapsed: float) -> float:
+        """Return the norm of the first task's error, `elapsed` [s] after the phase began, without the program."""
+        self._read_live()
+        watched, function, parameters = self._first
+        error: float = _first_error(tuple(kin.bodies), watched, function, parameters, elapsed)
+        return error
+
+    def _read_live(self) -> None:
+        """Copy the parameters that the walk changes during the phase."""
+        for live, copy in self._live:
+            copy[:] = live
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _made, self._given  # the addresses of functions are those of this process

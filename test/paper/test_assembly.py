@@ -76,6 +76,8 @@ def assert_equal(phase, kin, elapsed=np.inf):
     np.testing.assert_allclose(ours.T @ ours, exact.T @ exact, rtol=1e-9, atol=1e-11)
     assert np.count_nonzero(np.abs(ours).max(axis=1)) == np.count_nonzero(np.abs(exact).max(axis=1))
     assert len(problem.names) == problem.e.size + problem.h.size + 2 * n
+    error = np.linalg.norm(values(phase.tasks[0], kin, elapsed)[0])
+    assert phase.assembly.error(kin, elapsed) == pytest.approx(error, rel=1e-12, abs=1e-15)
     return problem
 
 
