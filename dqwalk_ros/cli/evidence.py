@@ -27,7 +27,8 @@ a file of rows is a list such as
       config: poppy_dynamic           # as of --config
       plant: physics                  # or poppy_as_built
       set: {gait.steps: 20}
-      seeds: 20                       # walks with sensors.seed 1 to 20
+      params: [rough]                 # as of --params
+      seeds: 20                       # walks with sensors.seed 1 to 20; first: 101 for 101 to 120
     - {name: pushes of 0.50 N s, config: poppy_dynamic, push: 0.5}   # 8 directions, 2 feet, 4 moments of a step
 
 writes to the folder of --out:
@@ -35,6 +36,7 @@ writes to the folder of --out:
   evidence.csv, .txt      all walks in order, and the printed table
 
 examples:
+  dqwalk evidence ground                                         110 walks on uneven ground in each engine
   dqwalk evidence --sample 2                                     a sample: two walks of each row in each engine
   dqwalk evidence --engine physics --jobs 8                      without Drake
   dqwalk evidence mine.yaml --scheduler tcp://127.0.0.1:8786

@@ -195,12 +195,17 @@ def is_foreign(name: str) -> bool:
 def put_on(config: Config, files: Iterable[pathlib.Path]) -> Config:
     """Return a configuration with the parameters of files applied, one after the other.
 
+    A name without folder and suffix is that of a file in ``config/grounds/``, unless there is a file of this name.
+
     Raises
     ------
     ConfigError
         If a file is missing or cannot be used.
     """
-    for path in files:
+    for given in files:
+        path = given
+        if not path.is_file() and str(path) == path.stem:
+            path = find_share("config/grounds", f"{path}.yaml")
         if not path.is_file():
             raise ConfigError(f"no parameter file '{path}'")
         config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)

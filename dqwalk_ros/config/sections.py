@@ -336,6 +336,10 @@ class PhysicsConfig:
         0.0, "lateral inclination of the floor, positive: it rises to the left", "rad", -0.5, 0.5
     )
     rubble: float = parameter(0.0, "largest height of boxes strewn on the floor; 0: no boxes", "m", 0.0, 0.05)
+    rise: float = parameter(0.0, "height of each stair ahead, negative: down; 0: no stairs", "m", -0.1, 0.1)
+    stairs: int = parameter(1, "number of stairs", "", 1, 100)
+    tread: float = parameter(0.25, "length of each stair; larger: flatter", "m", 0.01, 10.0)
+    stairs_at: float = parameter(0.3, "distance of the first stair from the robot's first place", "m", 0.0, 100.0)
     mass_scale: float = parameter(1.0, "factor of all masses and inertias; larger: heavier", "", 0.1, 10.0)
     settle: float = parameter(0.5, "time simulated at rest before the walk begins", "s", 0.0, 60.0)
     held: bool = parameter(False, "the simulated root link is held level in the air, as in a stand (`dqwalk exercise`)")

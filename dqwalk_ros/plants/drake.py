@@ -38,7 +38,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.plants.engine import HELD, EnginePlant, gravity_of, pose_of, rubble, steps_of
+from dqwalk_ros.plants.engine import HELD, EnginePlant, floor_of, gravity_of, pose_of, steps_of
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
@@ -52,7 +52,7 @@ _STIFFNESS = 3e5
 _RADIUS = 1e-4
 """Radius of the points of contact [m]."""
 _SPACING = 0.012
-"""Largest distance between the points of a sole on rubble [m]."""
+"""Largest distance between the points of a sole on rubble and stairs [m]."""
 _SLIDING = 1e-3
 """Velocity above which dry friction of a joint is constant [rad/s]."""
 
@@ -110,7 +110,7 @@ class DrakePlant(EnginePlant):
         Their damping is 2 contact_time times their stiffness, as that of MuJoCo is.
         """
         config, model, world = self.config.physics, self.model, self._world
-        stony = config.rubble > 0.0
+        height, boxes = floor_of(self.config)
         stiffness = config.contact_stiffness or _STIFFNESS
 
         def material(share: float) -> Any:
@@ -124,7 +124,7 @@ class DrakePlant(EnginePlant):
         points: list[Any] = []
         for foot in Foot:
             sole = model.soles[foot]
-            nx, ny = (math.ceil(size / _SPACING) + 1 if stony else 2 for size in (sole.length, sole.width))
+            nx, ny = (math.ceil(size / _SPACING) + 1 if boxes else 2 for size in (sole.length, sole.width))
             body, properties = world.GetBodyByName(sole.frame), material(4.0 / (nx * ny))
             for x in np.linspace(-0.5, 0.5, nx) * sole.length:
                 for y in np.linspace(-0.5, 0.5, ny) * sole.width:
@@ -133,12 +133,12 @@ class DrakePlant(EnginePlant):
                     points.append(world.RegisterCollisionGeometry(body, at, Sphere(_RADIUS), name, properties))
         # the same material as that of the points, so that each contact has the stiffness of its point
         floor = material(4.0 / (len(points) / 2))
-        world.RegisterCollisionGeometry(world.world_body(), RigidTransform(), HalfSpace(), "floor", floor)
-        for i, stone in enumerate(rubble(config.rubble, self.config.sensors.seed) if stony else ()):
-            at = RigidTransform(RollPitchYaw(0.0, 0.0, stone.turn), stone.at)
-            world.RegisterCollisionGeometry(
-                world.world_body(), at, Box(*(2.0 * np.array(stone.half))), f"stone {i}", floor
-            )
+        world.RegisterCollisionGeometry(
+            world.world_body(), RigidTransform([0.0, 0.0, height]), HalfSpace(), "floor", floor
+        )
+        for i, box in enumerate(boxes):
+            at = RigidTransform(RollPitchYaw(0.0, 0.0, box.turn), box.at)
+            world.RegisterCollisionGeometry(world.world_body(), at, Box(*(2.0 * np.array(box.half))), f"box {i}", floor)
         return points
 
     def _seat(self, q: Array, root: Array | None) -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import Config, PhysicsConfig
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, quaternion_product
@@ -30,7 +30,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = ["HELD", "EnginePlant", "Stone", "gravity_of", "level_of", "pose_of", "rubble", "standing_root", "steps_of"]
+__all__ = ["HELD", "Box", "EnginePlant", "floor_of", "gravity_of", "level_of", "pose_of", "standing_root", "steps_of"]
 
 HELD = 1.5
 """Height at which the root link is held in the air [m]."""
@@ -276,15 +276,38 @@ def pose_of(p, r):  # type: ignore[no-untyped-def]
     return x
 
 
-class Stone(NamedTuple):
-    """A box on the floor: half its sizes and the position of its centre (3,) [m], and its yaw [rad]."""
+class Box(NamedTuple):
+    """A box that the robot walks on: half its sizes and the position of its centre (3,) [m], and its yaw [rad]."""
 
     half: tuple[float, float, float]
     at: tuple[float, float, float]
     turn: float
 
 
-def rubble(height: float, seed: int) -> Iterator[Stone]:
+def floor_of(config: Config) -> tuple[float, list[Box]]:
+    """Return the height of the floor below the robot's first place [m], and the boxes of stairs and rubble on it."""
+    c = config.physics
+    floor = min(0.0, c.rise * c.stairs)
+    return floor, [*_stairs(c, floor), *(_rubble(c.rubble, config.sensors.seed, floor) if c.rubble else ())]
+
+
+def _stairs(c: PhysicsConfig, floor: float) -> Iterator[Box]:
+    """Yield the boxes of the stairs; where these lead down, the robot begins on the first of them."""
+    if not c.rise:
+        return
+    edges = [c.stairs_at + k * c.tread for k in range(c.stairs)]
+    ends = [-_FAR, *edges] if c.rise < 0.0 else [*edges, _FAR]
+    for k in range(c.stairs):
+        top = c.rise * (k if c.rise < 0.0 else k + 1)
+        half = 0.5 * (ends[k + 1] - ends[k]), _BROAD, 0.5 * (top - floor)
+        yield Box(half, (0.5 * (ends[k] + ends[k + 1]), 0.0, floor + half[2]), 0.0)
+
+
+_FAR, _BROAD = 10.0, 1.0
+"""Where the floor above or before the stairs ends, and half of the width of the stairs [m]."""
+
+
+def _rubble(height: float, seed: int, floor: float) -> Iterator[Box]:
     """Yield boxes of random size, up to `height` [m] high, ahead of and behind the robot."""
     random = np.random.default_rng(seed)
     for x in np.arange(-1.0, 1.5, 0.06):
@@ -294,4 +317,5 @@ def rubble(height: float, seed: int) -> Iterator[Stone]:
             a, b = random.uniform(0.01, 0.03, 2)
             half = (a, b, 0.5 * height * random.uniform())
             turn = random.uniform(0.0, np.pi)
-            yield Stone(half, (x + random.uniform(-0.01, 0.01), y + random.uniform(-0.01, 0.01), half[2]), turn)
+            place = x + random.uniform(-0.01, 0.01), y + random.uniform(-0.01, 0.01), floor + half[2]
+            yield Box(half, place, turn)

@@ -13,7 +13,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.plants.engine import HELD, EnginePlant, gravity_of, level_of, pose_of, rubble, steps_of
+from dqwalk_ros.plants.engine import HELD, Box, EnginePlant, floor_of, gravity_of, level_of, pose_of, steps_of
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.support.arrays import Array
@@ -238,8 +238,9 @@ def build(
             # zero torque within the backlash b: K (e - clip(e, -b/2, b/2)) is a positive plus a negative spring
             for k, name in enumerate(model.joint_names):
                 _add_spring(spec, name, -s.stiffness[k], 0.0, play[k])
-        if c.rubble > 0.0:
-            _add_rubble(spec, c.rubble, config.sensors.seed)
+        floor, boxes = floor_of(config)
+        spec.geom("floor").pos = [0.0, 0.0, floor]
+        _add_boxes(spec, boxes)
         for foot in Foot:
             _add_ground_sensor(spec, foot)
         if scenery is not None:
@@ -324,15 +325,15 @@ def _add_ground_sensor(spec: Any, foot: Foot) -> None:
     )
 
 
-def _add_rubble(spec: Any, height: float, seed: int) -> None:
-    """Add boxes, up to `height` [m] high, to the floor."""
+def _add_boxes(spec: Any, boxes: list[Box]) -> None:
+    """Add boxes of the material of the floor."""
     floor = spec.geom("floor")
-    for stone in rubble(height, seed):
+    for box in boxes:
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=stone.half,
-            pos=stone.at,
-            quat=[np.cos(0.5 * stone.turn), 0.0, 0.0, np.sin(0.5 * stone.turn)],
+            size=box.half,
+            pos=box.at,
+            quat=[np.cos(0.5 * box.turn), 0.0, 0.0, np.sin(0.5 * box.turn)],
             rgba=floor.rgba,
             friction=floor.friction,
             solref=floor.solref,

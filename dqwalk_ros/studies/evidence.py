@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from dqwalk_ros import report
-from dqwalk_ros.config import Config, find_share, load, overlaid
+from dqwalk_ros.config import Config, find_share, load, overlaid, put_on
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.studies.plan import digest
@@ -40,12 +40,15 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         As ``--config``.
     plant : str
         Name of a file in ``config/plants/``, without the engine.
+    params : list of str
+        As ``--params``, before `set`.
     use : list of str
         Names of sets of parameters in the file.
     set : dict
         Parameters, as ``--set``, with precedence over those sets.
     seeds : int
-        Number of walks, with ``sensors.seed`` 1, 2, ...
+        Number of walks, with ``sensors.seed`` `first`, `first` + 1, ...
+    first : int
     push : float
         Impulse of each push [N s], in 8 directions, on either foot, at 4 moments of a step; 0: walks without a push.
     """
@@ -53,9 +56,11 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str
     config: str
     plant: Literal["physics", "poppy_as_built"] = "physics"
+    params: list[str] = []
     use: list[str] = []
     set: dict[str, Any] = {}
     seeds: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 20
+    first: Annotated[int, msgspec.Meta(ge=0, le=10**6)] = 1
     push: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
 
     def made(self) -> Config:
@@ -66,7 +71,8 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ConfigError
             If a parameter is invalid.
         """
-        return overlaid(load(self.config), self.plant).updated(self.set, source=self.name)
+        made = put_on(overlaid(load(self.config), self.plant), map(Path, self.params))
+        return made.updated(self.set, source=self.name)
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -128,7 +134,7 @@ def points(rows: Mapping[str, Row], engines: Sequence[str], sample: int = 0) -> 
     """Return all walks, or of each row and engine `sample` of them, drawn at random but the same for all engines."""
     out: list[dict[str, Any]] = []
     for name, row in rows.items():
-        every: list[dict[str, Any]] = [{"seed": seed} for seed in range(1, row.seeds + 1)]
+        every: list[dict[str, Any]] = [{"seed": row.first + k} for k in range(row.seeds)]
         if row.push:
             every = [
                 {"foot": foot, "direction": 2.0 * math.pi * k / _DIRECTIONS, "part": part}

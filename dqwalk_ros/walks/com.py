@@ -33,18 +33,25 @@ class Sensor(NamedTuple):
         return cls(body, pose, tree.moves[body])
 
 
-def com_velocity(kin: Kinematics, state: State) -> Array:
-    """Return the velocity of the CoM, shape (3,) [m/s]; zero if the joint velocities are unknown."""
+def com_velocity(kin: Kinematics, state: State, share: float = 0.0) -> Array:
+    """Return the velocity of the CoM, shape (3,) [m/s]; zero if the joint velocities are unknown.
+
+    Each sole is at rest as far as it bears the weight, of which the other sole has the fraction `share`. So a base sole
+    that has left uneven ground in double support, and moves, is not taken to be at rest.
+    """
     if state.dq is None:
         return np.zeros(3)
     sensor, gyro = Sensor.of(kin.model, kin.tree), NOT_MEASURED if state.gyro is None else state.gyro
     v: Array = moving_com(kin.com, kin.com_jacobian, kin.lines, kin.poses, sensor, state.dq, gyro)
+    if share > 0.0:
+        p, J = kin.point(kin.swing), kin.point_jacobian(kin.swing)
+        v -= share * moving_com(p, J, kin.lines, kin.poses, sensor, state.dq, gyro)
     return v
 
 
 @jit
 def moving_com(com, J_com, lines, poses, sensor, dq, gyro):  # type: ignore[no-untyped-def]
-    """Return the velocity of the CoM, including that by a rotation of the base sole, shape (3,) [m/s].
+    """Return the velocity of the CoM, or of another point, including that by a rotation of the base sole, (3,) [m/s].
 
     Without a measured angular velocity `gyro` (empty) the base sole is assumed to be at rest.
     """

@@ -163,6 +163,19 @@ def test_rubble_is_walked_on(engine: str) -> None:
     assert found["physics"]["displacement"][0] > 0.2
 
 
+@pytest.mark.parametrize("rise", [0.02, -0.02])
+@pytest.mark.parametrize("engine", ENGINES)
+def test_stairs_are_stood_on(engine: Any, rise: float) -> None:
+    """The robot starts on the level before the stairs, and stands on the second of three."""
+    plant = made(engine, physics__settle=0.05, physics__rise=rise, physics__stairs=3, physics__tread=0.4)
+    for ahead, height in ((0.0, 0.0), (0.9, 2.0 * rise), (2.0, 3.0 * rise)):
+        plant._seat(POSTURE, (DQ.from_pose([ahead, 0.0, height]) * DQ(standing_root(MODEL, POSTURE))).vec8())
+        still(plant, 8)
+        for foot, sole in plant.truth.soles.items():
+            assert DQ(sole).translation()[2] == pytest.approx(height, abs=5e-4)
+            assert plant.truth.wrenches[foot][2] > 5.0
+
+
 def test_drake_falls_when_it_is_thrown() -> None:
     plant = made(DrakePlant)
     assert not plant.fallen

@@ -217,6 +217,19 @@ def test_com_velocity_includes_the_rotation_of_a_tipping_sole() -> None:
     assert v == pytest.approx(np.cross(turning, kin.com))
 
 
+def test_com_velocity_from_the_other_sole_is_that_of_a_robot_which_stands_on_it() -> None:
+    """Each sole is at rest as far as it bears the weight; with all of the weight on one sole only that one counts."""
+    random = np.random.default_rng(5)
+    q = MODEL.posture(CONFIG.standing.posture) + 0.1 * random.normal(size=MODEL.n)
+    state = State(0.0, q, dq=random.normal(size=MODEL.n), gyro=random.normal(size=3))
+    left, right = (Kinematics(MODEL, q, foot) for foot in Foot)
+    to_left = DQ(left.pose(left.swing)).rotation_matrix()
+    np.testing.assert_allclose(com_velocity(left, state, 1.0), to_left @ com_velocity(right, state), atol=1e-12)
+    half = 0.5 * (com_velocity(left, state) + to_left @ com_velocity(right, state))
+    np.testing.assert_allclose(com_velocity(left, state, 0.5), half, atol=1e-12)
+    assert np.linalg.norm(half - com_velocity(left, state)) > 0.01
+
+
 def walked(plant: str, **values: object):
     config = CONFIG.updated({key.replace("__", "."): value for key, value in values.items()})
     model = dq.load_model(config.robot)

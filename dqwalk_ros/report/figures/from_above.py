@@ -265,10 +265,10 @@ def _draw_loads(ax: Axes, series: Series, of: Ground) -> None:
     part = true[:, 0] / np.maximum(true.sum(axis=1), 1e-3)
     ax.fill_between(series.time, 0.0, part, color=_COLOR[Foot.LEFT], alpha=0.35, linewidth=0.0)
     ax.fill_between(series.time, part, 1.0, color=_COLOR[Foot.RIGHT], alpha=0.35, linewidth=0.0)
-    title = "D   Part of the weight on the left foot (below) and on the right one"
+    title = "D   Part of the weight on each foot"
     if (loads := series.trace.loads) is not None:
         ax.plot(series.time, loads[:, 0] / np.maximum(loads.sum(axis=1), 1e-3), color=INK, linewidth=0.8)
-        title += "; line: from the torques of the joints"
+        title += ", and of the left one from torques (line)"
     set_time_limits(ax, series)
     ax.set(xlabel="time [s]", ylabel="part", ylim=(0.0, 1.0))
     ax.set_title(title)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.estimation.load import share_of
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMass, CenterOfMassOnGround, Direction, JointAngles
 from dqwalk_ros.paper.foot import Foot
@@ -297,7 +298,7 @@ class DynamicWalk(SteppingWalk):
         omega, up, now = self.pendulum.omega, kin.up, self._now
         dt = state.time - self._time
         self._time = state.time
-        c, xi = com_and_xi(kin.com, com_velocity(kin, state), up, omega)
+        c, xi = com_and_xi(kin.com, com_velocity(kin, state, self._share(phase, state)), up, omega)
         if not 0.0 <= dt <= _GAP:
             dt = 0.0
             now.reset(c, xi, xi if self._descends else c)
@@ -332,6 +333,13 @@ class DynamicWalk(SteppingWalk):
         self._targets["com"].set(place + now.bias, velocity)
         self._targets["upright"].set(up[:2], np.zeros(2))
         return change
+
+    @staticmethod
+    def _share(phase: Phase, state: State) -> float:
+        """Return the fraction of the weight on the foot that is not the base of `phase`; none in single support."""
+        if state.loads is None or phase.kind is PhaseKind.SINGLE_SUPPORT:
+            return 0.0
+        return share_of(phase.base.other, state.loads)
 
     def _adjust_step(self, flight: _Flight, phase: Phase, c: Array, t: float) -> Change | None:
         """Adjust time and position of the landing to the measured xi, `t` [s] after lift-off; c (2,) is the CoM [m].
