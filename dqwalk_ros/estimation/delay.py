@@ -52,7 +52,7 @@ class CommandHistory:
         begin, sums = time - self.delay, self._sums
         self._forget(begin)
         if len(sums) < 2:
-            return np.zeros_like(self._sum)
+            return np.zeros(len(self._sum))
         (t0, s0), (t1, s1) = sums[0], sums[1]
         fraction = min(max((begin - t0) / max(t1 - t0, 1e-9), 0.0), 1.0)
         motion: Array = self._sum - (s0 + fraction * (s1 - s0))

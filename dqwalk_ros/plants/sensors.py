@@ -10,8 +10,10 @@ import numpy as np
 
 from dqwalk_ros.config import SensorsConfig
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.kinematics import direction, quaternion_product
 from dqwalk_ros.plants.base import Inertial
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 
 __all__ = ["Reading", "Sensors"]
 
@@ -38,7 +40,8 @@ class Sensors:
         self._random = np.random.default_rng(c.seed)
         self._mounting = self._rotation(c.misalignment)
         self._leaning = self._rotation(c.attitude_bias, level=True)
-        self._gyro_bias, self._acceleration_bias = (self._direction(b) for b in (c.gyro_bias, c.accelerometer_bias))
+        self._biases = np.array([np.zeros(3), *(self._direction(b) for b in (c.gyro_bias, c.accelerometer_bias))])
+        self._noise = np.array([[c.attitude_noise], [c.gyro_noise], [c.accelerometer_noise]])
         self._under_way: deque[tuple[float, Reading]] = deque()
         self._arrived: Reading | None = None
         self._read: tuple[float, Reading] | None = None
@@ -60,16 +63,12 @@ class Sensors:
 
     def _faulty(self, time: float, true: Reading) -> Reading:
         """Return the measurement of the true values, with all errors except the delay."""
-        c, noise = self._config, self._random.normal
-        out = replace(
-            true,
-            orientation=(self._leaning * self._small(noise(size=3) * c.attitude_noise)
-                         * DQ(true.orientation) * self._mounting).vec4(),
-            gyro=self._mounted(true.gyro) + self._gyro_bias + c.gyro_noise * noise(size=3),
-            acceleration=self._mounted(true.acceleration)
-            + self._acceleration_bias
-            + c.accelerometer_noise * noise(size=3),
+        c = self._config
+        orientation, gyro, acceleration = _disturbed(
+            self._leaning.vec4(), self._mounting.vec4(), true.orientation, true.gyro, true.acceleration,
+            self._biases + self._noise * self._random.normal(size=(3, 3)),
         )  # fmt: skip
+        out = replace(true, orientation=orientation, gyro=gyro, acceleration=acceleration)
         if c.encoder > 0.0:
             out = replace(out, q=np.rint(out.q / c.encoder) * c.encoder)
         if c.velocity_filter > 0.0:
@@ -80,10 +79,6 @@ class Sensors:
                 dq = keep * last.dq + (1.0 - keep) * (out.q - last.q) / (time - before)
             out = replace(out, dq=dq)
         return out
-
-    def _mounted(self, v: Array) -> Array:
-        """Return a vector of the link in the frame of the sensor, rotated by the mounting error."""
-        return self._mounting.conj().Ad(DQ(v)).vec3()
 
     def _direction(self, size: float, *, level: bool = False) -> Array:
         """Return a vector of the given norm in a random direction, horizontal if `level`, shape (3,)."""
@@ -99,3 +94,23 @@ class Sensors:
         """Return the rotation by |v| about v."""
         angle = float(np.linalg.norm(v))
         return DQ.rotation_about(angle, v / angle if angle > 0.0 else v)
+
+
+@jit
+def _disturbed(leaning, mounting, orientation, gyro, acceleration, errors):  # type: ignore[no-untyped-def]
+    """Return orientation (4,), angular velocity and specific force (3,) as a sensor with errors measures them.
+
+    The rotations `leaning` and `mounting` (4,) are those of the level and of the sensor on its link. The rows of
+    `errors` (3, 3) are a rotation vector, and what is added to the angular velocity and to the specific force.
+    """
+    size = math.sqrt(errors[0] @ errors[0])
+    shaken = np.concatenate((np.array([math.cos(0.5 * size)]), 0.5 * np.sinc(0.5 * size / math.pi) * errors[0]))
+    r = _product(_product(_product(leaning, shaken), orientation), mounting)
+    to_sensor = np.array([mounting[0], -mounting[1], -mounting[2], -mounting[3]])
+    return r, direction(to_sensor, gyro) + errors[1], direction(to_sensor, acceleration) + errors[2]
+
+
+@jit
+def _product(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two quaternions (4,)."""
+    return np.array(quaternion_product(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]))

@@ -44,4 +44,4 @@ def leg_torques(lines, com, J_com, legs, pressure, force, weight):  # type: igno
     z, a = np.array([pressure[0], pressure[1], 0.0]), force - weight
     moment = np.cross(z, force) - np.cross(com, weight)
     tau = lines @ np.concatenate((moment, a)) - a @ J_com
-    return np.where(legs, tau, 0.0)
+    return legs * tau
