@@ -238,6 +238,9 @@ def test_a_physics_walk_through_ros_is_recorded_and_reported(tmp_path: Path) -> 
     assert walked.physics is not None
     assert expected.physics is not None
     np.testing.assert_allclose(walked.physics.pelvis[:n], expected.physics.pelvis, rtol=0.0, atol=1e-9)
+    assert walked.loads is not None
+    assert expected.loads is not None
+    np.testing.assert_allclose(walked.loads[: n - 1], expected.loads[: n - 1], rtol=0.0, atol=1e-9)
     report = reporting.report(reporting.analyse(walked))
     assert report["ok"], report["violations"]
     assert report["physics"]["steps"] == 3
