@@ -62,24 +62,44 @@ class FootLoads:
         state : State
             The same state may be given again.
         """
-        if state.effort is None or state.dq is None or not np.isfinite(state.effort).all():
+        if state.effort is None or state.dq is None or not math.isfinite(state.effort @ state.effort):
             return None
         model, tree, dt = kin.model, kin.tree, state.time - self._time
         moves = (tree.moves[tree.frames[frame][0]] for frame in (model.pelvis, kin.swing))
         soles = model.soles[kin.base].center, kin.point(kin.swing, model.soles[kin.base.other].center)
         if not 0.0 <= dt <= _GAP:
             dt, self._dq, self._acceleration = math.inf, state.dq, np.zeros(model.n)
-        gained = np.zeros(model.n) if dt in (0.0, math.inf) else (state.dq - self._dq) / dt
-        part = 1.0 if dt == math.inf else dt / (_SMOOTH + dt)
-        self._acceleration = self._acceleration + part * (gained - self._acceleration)
-        on_base, on_other = _forces(
-            kin.lines, kin.com, kin.com_jacobian, kin.up, *moves, *soles, self._weight,
-            state.effort - self._armature * self._acceleration,
+        self._acceleration = _accelerated(self._acceleration, self._dq, state.dq, dt)
+        self._loads = _loaded(
+            self._loads, kin.base is Foot.RIGHT, dt, kin.lines, kin.com, kin.com_jacobian, kin.up, *moves, *soles,
+            self._weight, self._armature, self._acceleration, state.effort,
         )  # fmt: skip
-        now = np.array([on_base, on_other] if kin.base is Foot.LEFT else [on_other, on_base])
         self._time, self._dq = state.time, state.dq
-        self._loads = self._loads + part * (np.maximum(now, 0.0) - self._loads)
         return self._loads
+
+
+@jit
+def _approach(dt):  # type: ignore[no-untyped-def]
+    """Return the part of the way to a new value that the filters go in `dt` [s]; all of it at the beginning."""
+    return 1.0 if dt == math.inf else dt / (_SMOOTH + dt)
+
+
+@jit
+def _accelerated(acceleration, before, dq, dt):  # type: ignore[no-untyped-def]
+    """Return the filtered acceleration (n,) after the velocities changed from `before` to `dq` (n,) in `dt` [s]."""
+    gained = (dq - before) / dt if 0.0 < dt < math.inf else np.zeros(dq.shape[0])
+    return acceleration + _approach(dt) * (gained - acceleration)
+
+
+@jit
+def _loaded(  # type: ignore[no-untyped-def]
+    loads, right, dt, lines, com, J_com, up, pelvis, other, at_base, at_other, weight, armature, acceleration, effort
+):
+    """Return the filtered loads (2,) of both feet; `right` is whether the right one is the base. See `_forces`."""
+    tau = effort - armature * acceleration
+    forces = _forces(lines, com, J_com, up, pelvis, other, at_base, at_other, weight, tau)
+    now = np.array([forces[1], forces[0]]) if right else forces
+    return loads + _approach(dt) * (np.maximum(now, 0.0) - loads)
 
 
 @jit

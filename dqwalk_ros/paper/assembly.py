@@ -290,14 +290,15 @@ class Assembly:
             self.rows,
             np.array(groups, dtype=np.int64).reshape(-1, 2),
         )
-        self._first = tuple(Watched.of(tasks[0].watches, tree)), functions[0], parameters[parts[0]]
+        self._first = tuple(Watched.of(tasks[0].watches, tree)), functions[0], parameters[parts[0]], tasks[0].live
         self._unlimited = np.full(n, np.inf)
 
     def __call__(
         self, q: Array, up: Array, elapsed: float = math.inf, dt: float | None = None, velocity: Array | None = None
     ) -> Evaluation:
         """Return values and quadratic program; see `walk.Phase.evaluate`."""
-        self._read_live()
+        for live, copy in self._live:
+            copy[:] = live
         (k, n), r = self._shape, self.task_rows
         values, J = np.empty(k + 2 * n), np.empty((k, n))
         H, c, w, lower, upper = np.empty((n, n)), np.empty(n), np.empty(k - r), np.empty(n), np.empty(n)
@@ -310,15 +311,11 @@ class Assembly:
 
     def error(self, kin: Kinematics, elapsed: float) -> float:
         """Return the norm of the first task's error, `elapsed` [s] after the phase began, without the program."""
-        self._read_live()
-        watched, function, parameters = self._first
+        watched, function, parameters, live = self._first
+        if live is not None:
+            parameters[: len(live)] = live
         error: float = _first_error(tuple(kin.bodies), watched, function, parameters, elapsed)
         return error
-
-    def _read_live(self) -> None:
-        """Copy the parameters that the walk changes during the phase."""
-        for live, copy in self._live:
-            copy[:] = live
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _made, self._given  # the addresses of functions are those of this process
