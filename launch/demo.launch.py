@@ -8,11 +8,11 @@ The page is on 127.0.0.1; the node viewer logs its address. Further nodes may st
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import LaunchConfiguration
 
 from dqwalk_ros.config import find_config, find_share
+from dqwalk_ros.nodes.launching import description, values_of
 
 ARGUMENTS = {
     "config": ("poppy_dynamic", "parameter file of a standing or dynamic walk, or the name of a shipped one", None),
@@ -25,7 +25,7 @@ STEERED = "gait.steps=0 gait.cmd_vel_timeout=1.0"  # a key that is held repeats 
 
 
 def nodes(context: LaunchContext) -> list[object]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = values_of(context, ARGUMENTS)
     given["config"] = str(find_config(given["config"]))
     given["set"] = f"{STEERED} {given['set']}"
     source = PythonLaunchDescriptionSource(str(find_share("launch", "walk.launch.py")))
@@ -33,7 +33,4 @@ def nodes(context: LaunchContext) -> list[object]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    arguments = []
-    for name, (default, description, choices) in ARGUMENTS.items():
-        arguments.append(DeclareLaunchArgument(name, default_value=default, description=description, choices=choices))
-    return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])
+    return description(ARGUMENTS, nodes, discovery=False)

@@ -7,20 +7,14 @@ For a robot whose controllers are running already, walk.launch.py plant:=ros2_co
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    IncludeLaunchDescription,
-    OpaqueFunction,
-    RegisterEventHandler,
-    SetEnvironmentVariable,
-)
+from launch.actions import IncludeLaunchDescription, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile
 
 from dqwalk_ros.config import find_config, find_share
+from dqwalk_ros.nodes.launching import description, values_of
 from dqwalk_ros.robot.packages import expanded
 
 PLUGINS = [
@@ -46,7 +40,7 @@ ARGUMENTS = {
 
 
 def nodes(context: LaunchContext) -> list[object]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = values_of(context, ARGUMENTS)
     space, time = given["namespace"], {"use_sim_time": given["use_sim_time"] == "true"}
     arguments = {name: given[name] for name in ("plugin", "mujoco_model")}
     urdf = expanded(find_share("urdf", "poppy.ros2_control.urdf.xacro"), arguments=arguments)
@@ -87,14 +81,4 @@ def nodes(context: LaunchContext) -> list[object]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    arguments = []
-    for name, (default, description, choices) in ARGUMENTS.items():
-        arguments.append(DeclareLaunchArgument(name, default_value=default, description=description, choices=choices))
-    discovery = DeclareLaunchArgument(
-        "discovery",
-        default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
-        choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-        description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
-    )
-    stays = SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery"))
-    return LaunchDescription([*arguments, discovery, stays, OpaqueFunction(function=nodes)])
+    return description(ARGUMENTS, nodes)

@@ -10,22 +10,16 @@ from functools import partial
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    EmitEvent,
-    OpaqueFunction,
-    RegisterEventHandler,
-    SetEnvironmentVariable,
-)
+from launch.actions import EmitEvent, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import matches_action
 from launch.events.process import ShutdownProcess
 from launch.logging import get_logger
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from dqwalk_ros.cli.options import parse_overrides
 from dqwalk_ros.config import Config, find_config, find_share, load, overlaid, put_on, replaced
+from dqwalk_ros.nodes.launching import description, values_of
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
 
@@ -79,7 +73,7 @@ def typed(changes: dict[str, object]) -> dict[str, object]:
 
 
 def nodes(context: LaunchContext) -> list[object]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = values_of(context, ARGUMENTS)
     lockstep, rviz = given["lockstep"] == "true", given["rviz"] == "true"
     sim_time = given["use_sim_time"] == "true"
     plant = entry(given["plant"])
@@ -166,15 +160,4 @@ def nodes(context: LaunchContext) -> list[object]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    arguments = []
-    for name, (default, description, choices) in ARGUMENTS.items():
-        arguments.append(DeclareLaunchArgument(name, default_value=default, description=description, choices=choices))
-    discovery = DeclareLaunchArgument(
-        "discovery",
-        default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
-        choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-        description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
-    )
-    # by default the nodes are visible on this machine only
-    stays = SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery"))
-    return LaunchDescription([*arguments, discovery, stays, OpaqueFunction(function=nodes)])
+    return description(ARGUMENTS, nodes)

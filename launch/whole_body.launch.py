@@ -7,19 +7,13 @@ dqwalk report my_walk
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    EmitEvent,
-    OpaqueFunction,
-    RegisterEventHandler,
-    SetEnvironmentVariable,
-)
+from launch.actions import EmitEvent, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
 from dqwalk_ros.config import find_config
+from dqwalk_ros.nodes.launching import description, values_of
 
 ARGUMENTS = {
     "config": ("whole_body", "parameter file of all nodes, or the name of a shipped one; `dqwalk config` explains each "
@@ -30,7 +24,7 @@ ARGUMENTS = {
 
 
 def nodes(context: LaunchContext) -> list[object]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = values_of(context, ARGUMENTS)
     values = {
         "node.end_with_parent": True,
         "node.wait_for_recorder": bool(given["bag"]),
@@ -57,15 +51,4 @@ def nodes(context: LaunchContext) -> list[object]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    arguments = []
-    for name, (default, description, choices) in ARGUMENTS.items():
-        arguments.append(DeclareLaunchArgument(name, default_value=default, description=description, choices=choices))
-    discovery = DeclareLaunchArgument(
-        "discovery",
-        default_value=EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST"),
-        choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-        description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
-    )
-    # by default the nodes are visible on this machine only
-    stays = SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery"))
-    return LaunchDescription([*arguments, discovery, stays, OpaqueFunction(function=nodes)])
+    return description(ARGUMENTS, nodes)

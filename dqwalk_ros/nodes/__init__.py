@@ -2,11 +2,15 @@
 
 =========================  ===========================================================================
 `command_line`             help, options and console scripts of the nodes; works without ROS
+`launching`                what the launch files share
 `wheels`                   workarounds for rclpy and its wheels on PyPI
 `base`                     base class of every node: parameters, diagnostics, exit code
 `parameters`               the schema of `dqwalk_ros.config` as ROS parameters
 `messages`                 conversion between messages and the core's values
-`safety`                   which states and commands are accepted; imports no ROS
+`safety`                   which commands are accepted; imports no ROS
+`state_gate`               which states are accepted; imports no ROS
+`inertial_sensor`          which inertial measurements are; imports no ROS
+`fall_watch`, `fall_cause` whether the robot has fallen, and why
 `answering`                base class of both controllers: state checks, stopping the robot
 `inputs`                   inertial sensor, joint commands and cmd_vel, checked on arrival
 `footsteps`                commanded footsteps (nav_msgs/Path) for a standing walk

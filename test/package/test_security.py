@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib.util
 import re
 import subprocess
@@ -133,9 +132,11 @@ STARTS = [file for file in sorted((ROOT / "launch").iterdir()) if "launch_ros" i
 def test_launch_files_limit_discovery_to_this_machine(file: Path) -> None:
     """ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST unless the environment or an argument sets it."""
     text = file.read_text(encoding="utf-8")
-    names = {getattr(n.func, "id", "") for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call)}
-    assert "SetEnvironmentVariable" in names
-    assert 'EnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", default_value="LOCALHOST")' in text
+    assert text.endswith("return description(ARGUMENTS, nodes)\n")
+    shared = (ROOT / "dqwalk_ros/nodes/launching.py").read_text(encoding="utf-8")
+    assert '_DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"' in shared
+    assert 'EnvironmentVariable(_DISCOVERY, default_value="LOCALHOST")' in shared
+    assert 'SetEnvironmentVariable(_DISCOVERY, LaunchConfiguration("discovery"))' in shared
     assert '"--enclave"' in text
 
 

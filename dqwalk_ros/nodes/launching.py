@@ -1,0 +1,51 @@
+"""What the launch files share: the description of their arguments, and which machines can discover their nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
+
+__all__ = ["Arguments", "description", "values_of"]
+
+Arguments = Mapping[str, tuple[str, str, Sequence[str] | None]]
+"""Default, description and choices of each argument."""
+_DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+def values_of(context: LaunchContext, arguments: Arguments) -> dict[str, str]:
+    """Return the values of the arguments."""
+    return {name: LaunchConfiguration(name).perform(context) for name in arguments}
+
+
+def description(
+    arguments: Arguments, nodes: Callable[[LaunchContext], Sequence[object]], *, discovery: bool = True
+) -> LaunchDescription:
+    """Return the description of a launch file.
+
+    Parameters
+    ----------
+    arguments : Arguments
+    nodes : callable
+        Returns what is started.
+    discovery : bool
+        Whether to add an argument that says which machines can discover the nodes, by default only this one.
+    """
+    declared: list[Any] = [
+        DeclareLaunchArgument(name, default_value=default, description=text, choices=choices)
+        for name, (default, text, choices) in arguments.items()
+    ]
+    if discovery:
+        declared += [
+            DeclareLaunchArgument(
+                "discovery",
+                default_value=EnvironmentVariable(_DISCOVERY, default_value="LOCALHOST"),
+                choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
+                description="which machines can discover the nodes: LOCALHOST only this one, SUBNET also the network",
+            ),
+            SetEnvironmentVariable(_DISCOVERY, LaunchConfiguration("discovery")),
+        ]
+    return LaunchDescription([*declared, OpaqueFunction(function=nodes)])
