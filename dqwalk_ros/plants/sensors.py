@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,17 +68,17 @@ class Sensors:
             self._leaning.vec4(), self._mounting.vec4(), true.orientation, true.gyro, true.acceleration,
             self._biases + self._noise * self._random.normal(size=(3, 3)),
         )  # fmt: skip
-        out = replace(true, orientation=orientation, gyro=gyro, acceleration=acceleration)
-        if c.encoder > 0.0:
-            out = replace(out, q=np.rint(out.q / c.encoder) * c.encoder)
-        if c.velocity_filter > 0.0:
-            dq = np.zeros_like(out.dq)
-            if self._read is not None:
-                before, last = self._read
-                keep = math.exp(-(time - before) / c.velocity_filter)
-                dq = keep * last.dq + (1.0 - keep) * (out.q - last.q) / (time - before)
-            out = replace(out, dq=dq)
-        return out
+        q = np.rint(true.q / c.encoder) * c.encoder if c.encoder > 0.0 else true.q
+        dq = self._filtered(time, q) if c.velocity_filter > 0.0 else true.dq
+        return Reading(orientation, gyro, acceleration, q, dq, true.effort)
+
+    def _filtered(self, time: float, q: Array) -> Array:
+        """Return the filtered differences (n,) [rad/s] of measured angles."""
+        if self._read is None:
+            return np.zeros(len(q))
+        before, last = self._read
+        keep = math.exp(-(time - before) / self._config.velocity_filter)
+        return keep * last.dq + (1.0 - keep) * (q - last.q) / (time - before)
 
     def _direction(self, size: float, *, level: bool = False) -> Array:
         """Return a vector of the given norm in a random direction, horizontal if `level`, shape (3,)."""
