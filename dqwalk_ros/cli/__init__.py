@@ -37,6 +37,7 @@ COMMANDS = (
     "identify",
     "replay",
     "adopt",
+    "servos",
     "config",
     "doctor",
     "version",
@@ -54,6 +55,7 @@ examples:
   dqwalk study studies/step_length.yaml     walk many times with parameters varied
   dqwalk exercise, dqwalk identify BAG      what the servos of a robot that hangs do; dqwalk replay BAG compares
   dqwalk adopt my_robot.urdf                another robot: a configuration that walks
+  dqwalk servos adopted                     how fast it can walk with its servos, and with others
   dqwalk doctor                             is this robot ready to walk?
   dqwalk config                             every parameter with its unit, range and meaning
 

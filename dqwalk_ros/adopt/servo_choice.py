@@ -1,0 +1,383 @@
+"""Which servo a biped needs: speed, height of steps, slope and push that the torque-speed line of a servo allows.
+
+One step of the dynamic walk is computed without a simulation. The CoM moves as a linear inverted pendulum over the
+middle of the support sole, at a constant height; the pelvis is upright; the swing foot moves with minimum
+jerk. The angles follow by inverse kinematics, the torques by virtual work from the forces that accelerate the bodies,
+which are taken as point masses, against gravity:
+
+    tau_j = sum_b J_bj . m_b (a_b - g)
+
+A servo allows the step if |tau + armature q'' + friction sign q' + back_emf q'| stays below its stall torque. Nothing
+is left for balance: a walk near the limit has no reserve.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Servos, ServoType
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.dynamic.swing import Swing
+from dqwalk_ros.walks.footsteps import Footsteps
+
+__all__ = ["Choice", "Gait", "Line", "Most", "Step", "choose", "leg_pairs", "step"]
+
+
+_SAMPLES = 41
+"""Number of times in a step."""
+_ITERATIONS, _POSTURE, _TRUNK = 12, 1e-2, 0.1
+"""Gauss-Newton method: largest number of iterations, and weights of the previous angles of legs and of other joints."""
+_WEIGHTS = np.array([1.0] * 6 + [1.0, 0.1, 0.1] + [0.05, 0.05, 0.05])
+"""Weights of position and orientation of the swing sole, of the CoM, and of the orientation of the pelvis."""
+_NEEDED = [0, 1, 2, 6]
+"""The errors that have to vanish: those of the swing sole's position, and of the CoM ahead."""
+_BLUR = 0.15
+"""Time over which accelerations are averaged, as a part of the swing: servos do not follow a jump at the lift-off."""
+_OFF = 0.01
+"""Largest error of a posture that is reached, as a fraction of the height of the CoM."""
+_LENGTHS = np.geomspace(0.06, 1.3, 15)
+"""Steps that are tried, as fractions of the height of the CoM."""
+_HEIGHTS = np.geomspace(0.02, 0.5, 10)
+"""Heights of steps that are tried, as fractions of the height of the CoM."""
+_SLOPES = np.radians([0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0])
+"""Slopes that are tried [rad]."""
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A step of a walk.
+
+    Attributes
+    ----------
+    single, double : float
+        Durations of single and double support [s].
+    length, height : float
+        [m]
+    slope : float
+        Inclination of the floor, positive: it rises ahead [rad].
+    """
+
+    single: float
+    double: float
+    length: float
+    height: float
+    slope: float = 0.0
+
+    @classmethod
+    def of(cls, config: Config) -> Gait:
+        """Return the step of a dynamic walk.
+
+        Raises
+        ------
+        ConfigError
+            If the walk is another one, whose steps do not have fixed durations.
+        """
+        if config.gait.style != "dynamic":
+            raise ConfigError(f"servos are chosen for a dynamic walk; gait.style is {config.gait.style}")
+        s, gait = config.standing, config.gait
+        return cls(s.swing_duration, s.transfer_duration, gait.step_length, gait.step_height)
+
+    @property
+    def duration(self) -> float:
+        """Time from one step to the next [s]."""
+        return self.single + self.double
+
+    @property
+    def speed(self) -> float:
+        """Speed of the body [m/s]."""
+        return self.length / self.duration
+
+
+@dataclass(frozen=True)
+class Step:
+    """Angles and torques of all joints in a step on the left foot.
+
+    Attributes
+    ----------
+    q, velocity, acceleration : ndarray, shape (N, n)
+        [rad, rad/s, rad/s^2]
+    torque : ndarray, shape (N, n)
+        [N m]
+    stuck : tuple of str
+        Joints at their limits where the legs do not reach the step.
+    off : float
+        Largest error of the postures [m]; zero for a step within the reach of the legs.
+    """
+
+    q: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    stuck: tuple[str, ...]
+    off: float
+
+
+def step(config: Config, model: RobotModel, gait: Gait) -> Step:
+    """Return the motion of a step on the left foot, from the middle of one double support to that of the next."""
+    posture = model.posture(config.standing.posture)
+    still = Kinematics(model, posture, Foot.LEFT)
+    beside = DQ(Footsteps(config, model, posture).beside(Foot.LEFT))
+    swing, pelvis, height = still.swing, DQ(still.pose(model.pelvis)), float(still.com[2])
+    center = model.soles[Foot.LEFT].center
+    other = beside.transform_point(model.soles[Foot.RIGHT].center)
+    t = np.linspace(-0.5, 0.5, _SAMPLES) * gait.duration
+    rate = math.sqrt(GRAVITY / height)
+    half = 0.5 * rate * gait.duration
+    com = np.zeros((_SAMPLES, 3))
+    com[:, 0] = center[0] + height * math.tan(gait.slope) + 0.5 * gait.length * np.sinh(rate * t) / math.sinh(half)
+    com[:, 1] = center[1] + 0.5 * (other - center)[1] * np.cosh(rate * t) / math.cosh(half)
+    com[:, 2] = height
+    start, goal = (DQ.from_pose([sign * gait.length, 0.0, 0.0]) * beside for sign in (-1.0, 1.0))
+    path = Swing(start.vec8(), goal.vec8(), gait.height, 0.0)
+    foot = np.array([path.step(min(max(x + 0.5 * gait.single, 0.0), gait.single), gait.single)[0][:3] for x in t])
+
+    n, tree, q, stuck = model.n, still.tree, posture.copy(), set[str]()
+    legs = [joint for pair in leg_pairs(model) for joint in pair]
+    keep = np.full(n, (_TRUNK * height) ** 2)
+    keep[legs] = (_POSTURE * height) ** 2
+    found, lines, places, off = np.empty((_SAMPLES, n)), [], [], 0.0
+    for k in range(_SAMPLES):
+        last = q.copy()
+        for _ in range(_ITERATIONS):
+            kin = Kinematics(model, q, Foot.LEFT)
+            x = DQ(kin.pose(swing))
+            e = np.concatenate([
+                x.translation() - foot[k],
+                height * (x * beside.conj()).rotation_vector(),
+                kin.com - com[k],
+                height * (DQ(kin.pose(model.pelvis)) * pelvis.conj()).rotation_vector(),
+            ])  # fmt: skip
+            J = np.concatenate([
+                kin.point_jacobian(swing), height * kin.angular_jacobian(swing),
+                kin.com_jacobian, height * kin.angular_jacobian(model.pelvis),
+            ])  # fmt: skip
+            H = (J.T * _WEIGHTS) @ J + np.diag(keep)
+            change = np.clip(np.linalg.solve(H, -(J.T * _WEIGHTS) @ e - keep * (q - last)), -0.3, 0.3)
+            moved = np.clip(q + change, model.q_min, model.q_max)
+            change, q = moved - q, moved
+            if np.abs(change).max() < 1e-5:
+                break
+        kin = Kinematics(model, q, Foot.LEFT)
+        if np.abs(e[_NEEDED]).max() > _OFF * height:
+            off = max(off, float(np.abs(e[_NEEDED]).max()))
+            at = (q <= model.q_min + 1e-6) | (q >= model.q_max - 1e-6)
+            stuck |= {name for name, there in zip(model.joint_names, at, strict=True) if there}
+        found[k] = q
+        lines.append(kin.lines.copy())
+        places.append([DQ(x).transform_point(c) for x, c in zip(kin.poses, tree.links[:, 12:15], strict=True)])
+
+    motion, place = CubicSpline(t, found), CubicSpline(t, np.array(places))
+    early, late = (np.clip(t + side * _BLUR * gait.single, t[0], t[-1]) for side in (-0.5, 0.5))
+
+    def acceleration(of: CubicSpline) -> Array:
+        mean: Array = (of(late, 1) - of(early, 1)) / (late - early).reshape(-1, *[1] * (of.c.ndim - 2))
+        return mean
+
+    up = np.array([math.sin(gait.slope), 0.0, math.cos(gait.slope)])
+    force = model.mass * tree.links[:, 11, None] * (acceleration(place) + GRAVITY * up)
+    line = np.array(lines)
+    columns = np.cross(line[:, None, :, :3], place(t)[:, :, None, :]) + line[:, None, :, 3:]
+    torque = np.einsum("kbjx,kbx,bj->kj", columns, force, tree.moves)
+    return Step(found, motion(t, 1), acceleration(motion), torque, tuple(sorted(stuck)), off)
+
+
+@dataclass(frozen=True)
+class Line:
+    """The torque-speed line of the servo of a joint.
+
+    Attributes
+    ----------
+    stall : float
+        [N m]
+    fastest : float
+        No-load speed [rad/s]; infinite for a servo that has its torque at any speed.
+    friction : float
+        [N m]
+    armature : float
+        [kg m^2]
+    """
+
+    stall: float
+    fastest: float
+    friction: float
+    armature: float
+
+    @classmethod
+    def of_type(cls, kind: ServoType) -> Line:
+        """Return the line of a type at its voltage."""
+        return cls(kind.stall_torque, kind.no_load_speed, kind.friction, kind.armature)
+
+    @classmethod
+    def own(cls, config: Config, model: RobotModel) -> list[Line]:
+        """Return the lines of the servos of a configuration, one for each joint."""
+        s = Servos.of(config, model)
+        fastest = np.divide(s.torque, s.back_emf, out=np.full(model.n, np.inf), where=s.back_emf > 0.0)
+        fastest = np.minimum(fastest, np.where(s.back_emf > 0.0, np.inf, model.velocity_max))
+        return [cls(*row) for row in zip(s.torque, fastest, s.friction, s.armature, strict=True)]
+
+    def load(self, motion: Step, joint: int) -> float:
+        """Return the largest part of the line that a joint needs in a step; 1: there is no more."""
+        speed, torque = motion.velocity[:, joint], motion.torque[:, joint]
+        needed = torque + self.armature * motion.acceleration[:, joint] + self.friction * np.sign(speed)
+        share = needed / self.stall if math.isfinite(self.stall) else np.zeros_like(needed)
+        return float(np.abs(share + speed / self.fastest).max())
+
+
+@dataclass(frozen=True)
+class Most:
+    """The largest value that servos allow.
+
+    Attributes
+    ----------
+    value : float
+    joint : str
+        The joint that binds, of both legs the left one; empty if none does.
+    sign : str
+        ``>``: no servo binds within the reach of the legs, whose end is the value; ``<``: the least value that was
+        tried is too much; else empty.
+    """
+
+    value: float
+    joint: str
+    sign: str = ""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What one type of servo in all joints of the legs allows.
+
+    Attributes
+    ----------
+    name : str
+    voltage : float
+        [V]; 0 for the servos of the configuration.
+    speed : Most
+        [m/s], at the durations of the configuration.
+    joints : dict of str to Most
+        Largest speed of each joint of a leg alone, the others being strong enough [m/s].
+    height, slope : Most
+        Largest height of a step [m] and slope [rad], at the step length of the configuration.
+    push : float
+        Largest push ahead that one longer step catches [N s].
+    warm : float
+        Largest RMS torque of a joint at the speed of the configuration, as a fraction of its stall torque.
+    """
+
+    name: str
+    voltage: float
+    speed: Most
+    joints: dict[str, Most]
+    height: Most
+    slope: Most
+    push: float
+    warm: float
+
+
+def leg_pairs(model: RobotModel) -> list[tuple[int, int]]:
+    """Return the indices of the joints of the left and the right leg, from the hip to the ankle."""
+    chains = [[model.bodies[b].joint for b in model.chain(model.frames[model.soles[f].frame].body)[1:]] for f in Foot]
+    common = set(chains[0]) & set(chains[1])
+    left, right = ([joint for joint in chain if joint not in common] for chain in chains)
+    return list(zip(left, right, strict=True))
+
+
+def choose(
+    config: Config,
+    model: RobotModel,
+    types: dict[str, ServoType],
+    progress: Callable[[float, str], None] = lambda *_: None,
+) -> list[Choice]:
+    """Return what the servos of a configuration allow, and those of each type.
+
+    Raises
+    ------
+    ConfigError
+        If the walk is not a dynamic one.
+    """
+    gait, pairs = Gait.of(config), leg_pairs(model)
+    still = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
+    height = float(still.com[2])
+    plans = {
+        "length": [replace(gait, length=float(part * height)) for part in _LENGTHS],
+        "height": [replace(gait, height=float(part * height)) for part in _HEIGHTS],
+        "slope": [replace(gait, slope=float(angle)) for angle in _SLOPES],
+    }
+    ladders: dict[str, list[tuple[Gait, Step]]] = {}
+    for share, (name, gaits) in enumerate(plans.items()):
+        progress(share / len(plans), f"steps of another {name}")
+        ladders[name] = _reached(config, model, gaits)
+    present = step(config, model, gait)
+    own = Line.own(config, model)
+    rows = [("own", 0.0, own)] + [(name, kind.voltage, [Line.of_type(kind)] * model.n) for name, kind in types.items()]
+    return [_choice(model, pairs, ladders, gait, present, height, *row) for row in rows]
+
+
+def _reached(config: Config, model: RobotModel, gaits: Sequence[Gait]) -> list[tuple[Gait, Step]]:
+    """Return the steps that the legs reach, up to the first one that they do not."""
+    out = []
+    for gait in gaits:
+        found = step(config, model, gait)
+        if found.off:
+            break
+        out.append((gait, found))
+    return out
+
+
+def _choice(
+    model: RobotModel,
+    pairs: list[tuple[int, int]],
+    ladders: dict[str, list[tuple[Gait, Step]]],
+    gait: Gait,
+    present: Step,
+    height: float,
+    name: str,
+    voltage: float,
+    lines: list[Line],
+) -> Choice:
+    def most(ladder: str, value: Callable[[Gait], float]) -> dict[str, Most]:
+        steps = ladders[ladder]
+        found = {}
+        for pair in pairs:
+            loads = [max(lines[joint].load(motion, joint) for joint in pair) for _, motion in steps]
+            joint = model.joint_names[pair[0]]
+            found[joint] = _crossing([value(g) for g, _ in steps], loads, joint)
+        return found
+
+    def least(found: dict[str, Most]) -> Most:
+        return min(found.values(), key=lambda most: (most.value, "<>".find(most.sign)))
+
+    speeds = most("length", lambda g: g.speed)
+    speed = least(speeds)
+    rate = math.sqrt(GRAVITY / height)
+    longer = max(speed.value * gait.duration - gait.length, 0.0)
+    legs = [joint for pair in pairs for joint in pair]
+    warm = max(float(np.sqrt(np.mean(present.torque[:, j] ** 2))) / lines[j].stall for j in legs)
+    return Choice(
+        name, voltage, speed, speeds,
+        least(most("height", lambda g: g.height)), least(most("slope", lambda g: g.slope)),
+        model.mass * rate * longer * math.exp(-rate * gait.duration), warm,
+    )  # fmt: skip
+
+
+def _crossing(values: list[float], loads: list[float], joint: str) -> Most:
+    """Return the value at which the load of a joint reaches 1, by linear interpolation."""
+    if not values:
+        return Most(0.0, "", ">")
+    over = next((k for k, load in enumerate(loads) if load > 1.0), len(loads))
+    if over == len(loads):
+        return Most(values[-1], "", ">")
+    if over == 0:
+        return Most(values[0], joint, "<")
+    return Most(float(np.interp(1.0, loads[over - 1 : over + 1], values[over - 1 : over + 1])), joint)
