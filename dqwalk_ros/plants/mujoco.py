@@ -74,11 +74,12 @@ class PhysicsPlant(EnginePlant):
     def _run(self, goals: Array, steps: int) -> Array:
         mj, data, torque = self.mj, self.data, np.zeros(len(self._torque))
         self._goals[:] = goals
+        step = mujoco.mj_step2  # mj_step1 has computed positions and velocities already; mj_step does both
         for _ in range(steps):
-            # mj_step1 has computed positions and velocities already; mj_step2 applies the forces
-            mujoco.mj_step2(mj, data)
+            step(mj, data)
             torque += self._torque
-            mujoco.mj_step1(mj, data)
+            step = mujoco.mj_step
+        mujoco.mj_step1(mj, data)
         return torque.take(self._vadr)
 
     def push(self, force: ArrayLike) -> None:
