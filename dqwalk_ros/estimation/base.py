@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.estimation.load import share_of
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -107,7 +108,9 @@ class BaseEstimator:
         """Whether the inertial sensor contradicts the standing soles, so that the estimate is wrong."""
         return self._slipping >= _ASTRAY
 
-    def update(self, time: float, kin: Kinematics, gyro: Array, acceleration: Array, *, both: bool) -> BaseEstimate:
+    def update(
+        self, time: float, kin: Kinematics, gyro: Array, acceleration: Array, *, both: bool, loads: Array | None = None
+    ) -> BaseEstimate:
         """Return the estimate at `time` [s].
 
         Parameters
@@ -119,6 +122,8 @@ class BaseEstimator:
         both : bool
             Whether the other sole is on the ground, too. A sole that carries less than 10 % of the weight is not used
             as a contact: it may slide by a millimetre before it lifts and after it lands.
+        loads : ndarray, shape (2,), optional
+            Vertical forces on the left and on the right sole [N]; without them the CoM divides the weight.
         """
         c, foot_of = self._config, [foot for foot, _ in _POINTS]
         x_imu = DQ(kin.pose(self._imu))
@@ -126,7 +131,11 @@ class BaseEstimator:
         points = [kin.point(frame, offset) for frame, offset in self._points]
         h = np.ascontiguousarray((np.array(points) - p_imu) @ R_imu)  # (4, 3), from the sensor in its frame
         base, other = (self._model.soles[foot] for foot in (kin.base, kin.base.other))
-        load = float(share(kin.com_on_ground, base.center, kin.point(other.frame, other.center))) if both else 0.0
+        load = 0.0
+        if both and loads is not None:
+            load = share_of(kin.base.other, loads)
+        elif both:
+            load = float(share(kin.com_on_ground, base.center, kin.point(other.frame, other.center)))
         loaded = {kin.base: load <= 1.0 - _LEAST_LOAD, kin.base.other: load >= _LEAST_LOAD}
         stands = np.array([loaded[foot] for foot in foot_of])
         if math.isnan(self._time):

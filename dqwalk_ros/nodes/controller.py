@@ -189,15 +189,15 @@ class Controller(AnsweringNode):
 
     def _publish_odometry(self, stamp: int, state: State) -> None:
         """Publish the pose of the robot in the frame of the first phase, also before that phase has begun."""
-        both, x_base, kin = True, DQ(1.0), self._walk.kin
+        both, x_base, kin, loads = True, DQ(1.0), self._walk.kin, self._walk.loads
         if self._has_begun:
             phase = self._walk.phase
             base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(self._walk.x_odom_base)
         else:
             base = self._first_base = self._first_base or self._walk.first_base(state)
         if kin is None or kin.base is not base or not np.array_equal(kin.q, state.q):  # the walk has not answered it
-            kin = Kinematics.measured(self._model, state.q, base, state.up)
-        self._odometry.publish(stamp, state, kin, x_base, both=both)
+            kin, loads = Kinematics.measured(self._model, state.q, base, state.up), None
+        self._odometry.publish(stamp, state, kin, x_base, both=both, loads=loads)
 
     def _publish_loads(self, stamp: int) -> None:
         """Publish the estimated loads of the feet at the last state that the walk has answered."""

@@ -98,7 +98,9 @@ class Odometry:
         """Count a step; each step increases the covariance of the pose."""
         self._steps += 1
 
-    def publish(self, stamp: int, state: State, kin: Kinematics, x_base: DQ, *, both: bool) -> None:
+    def publish(
+        self, stamp: int, state: State, kin: Kinematics, x_base: DQ, *, both: bool, loads: Array | None = None
+    ) -> None:
         """Publish the odometry of a state.
 
         Parameters
@@ -111,13 +113,15 @@ class Odometry:
             Pose of the base sole of `kin` in the frame of the walk's first phase, computed from the joint angles.
         both : bool
             Whether both feet are on the ground.
+        loads : ndarray, shape (2,), optional
+            Vertical forces on the left and on the right sole [N].
         """
         passed = stamp - self._window[-1][0] if self._window else 1
         if self._estimated is not None and not 0 < passed <= _TIMEOUT * 1e9:
             self._continue()
         if passed <= 0:
             self._window.clear()  # the plant's clock was set back
-        e = self._estimate(stamp, state, kin, both=both)
+        e = self._estimate(stamp, state, kin, both=both, loads=loads)
         if self._window and (e is None) is not (self._estimated is None):
             self._restarted = True  # the pose of the legs has another origin
         self._estimated = e
@@ -139,13 +143,16 @@ class Odometry:
             x_root = self._origin * walk_base * DQ(kin.pose(self._model.root))
             self._send_transforms(self._frames(stamp, x_root, x))
 
-    def _estimate(self, stamp: int, state: State, kin: Kinematics, *, both: bool) -> BaseEstimate | None:
+    def _estimate(
+        self, stamp: int, state: State, kin: Kinematics, *, both: bool, loads: Array | None
+    ) -> BaseEstimate | None:
         """Return the estimate at a state; None without an inertial sensor that can be believed."""
         if state.gyro is None or state.acceleration is None or self._astray >= _RESTARTS:
             return None
         try:
             with np.errstate(all="ignore"):
-                estimate = self._estimator.update(1e-9 * stamp, kin, state.gyro, state.acceleration, both=both)
+                felt = state.gyro, state.acceleration
+                estimate = self._estimator.update(1e-9 * stamp, kin, *felt, both=both, loads=loads)
             if not self._estimator.astray and math.isfinite(sum(estimate.pose.tolist())):
                 return estimate
         except np.linalg.LinAlgError:

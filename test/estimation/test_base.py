@@ -35,7 +35,8 @@ def errors(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         phase = controller.phase
         single = phase.kind is PhaseKind.SINGLE_SUPPORT
         kin = Kinematics.measured(MODEL, state.q, phase.base, state.up)
-        estimate = estimator.update(state.time, kin, state.gyro, state.acceleration, both=not single)
+        felt, loads = (state.gyro, state.acceleration), controller.loads
+        estimate = estimator.update(state.time, kin, *felt, both=not single, loads=loads)
         truth = plant.truth
         if world is None:  # the first base sole, level
             R = DQ(truth.soles[phase.base]).rotation_matrix()
@@ -149,6 +150,9 @@ def test_an_unloaded_sole_is_not_used_as_a_contact() -> None:
         beside = kin.com_on_ground[1] / kin.point(kin.swing)[1]
         held = BaseEstimator(POPPY, MODEL).update(0.0, kin, *still, both=True).contacts
         assert held == (set(Foot) if kin is middle else {Foot.LEFT if beside < 0.1 else Foot.RIGHT})
+    for loads, foot in (([0.5, 20.0], Foot.RIGHT), ([20.0, 0.5], Foot.LEFT)):  # with the CoM in the middle
+        known = {"both": True, "loads": np.array(loads)}
+        assert BaseEstimator(POPPY, MODEL).update(0.0, middle, *still, **known).contacts == {foot}
 
 
 def verticals(omega: np.ndarray, *, noise: float = 0.0, bias: float = 0.0, states: int = 2000) -> np.ndarray:
