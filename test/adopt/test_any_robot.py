@@ -580,3 +580,120 @@ def test_the_picture_has_the_bones_of_a_robot_without_meshes() -> None:
     assert len(bones) == model.n + 2  # to each joint, and to both soles
     thigh = next(bone for bone in bones if np.allclose(bone[1], kin.point("l_shank")))
     assert np.linalg.norm(thigh[0] - thigh[1]) > 0.1
+
+
+# ---------------------------------------------------------------------- ten things that people do to a robot
+
+
+def written(tmp_path: Path, urdf: Urdf) -> Path:
+    path = tmp_path / "perturbed.urdf"
+    path.write_text(urdf.text())
+    return path
+
+
+def millimetres(tmp_path: Path) -> Path:
+    path = tmp_path / "perturbed.urdf"
+    path.write_text(in_units(SMALL.read_text(), 1000.0))
+    return path
+
+
+def degrees(tmp_path: Path) -> Path:
+    urdf = Urdf.load(SMALL)
+    for joint in urdf.joints.values():
+        if joint.limit:
+            joint.limit.lower, joint.limit.upper = math.degrees(joint.limit.lower), math.degrees(joint.limit.upper)
+    return written(tmp_path, urdf)
+
+
+def root_at_the_foot(tmp_path: Path) -> Path:
+    urdf = Urdf.load(SMALL)
+    urdf.reroot("r_foot")
+    return written(tmp_path, urdf)
+
+
+def y_up(tmp_path: Path) -> Path:
+    urdf = Urdf.load(SMALL)
+    moved(urdf, urdf.root, at([0.0, 0.0, 0.0], DQ.rotation_about(0.5 * math.pi, X).rotation_matrix()))
+    return written(tmp_path, urdf)
+
+
+def axes_negated(tmp_path: Path) -> Path:
+    urdf = Urdf.load(SMALL)
+    for joint in urdf.joints.values():
+        if joint.limit:
+            joint.axis = -joint.axis
+            joint.limit.lower, joint.limit.upper = -joint.limit.upper, -joint.limit.lower
+    return written(tmp_path, urdf)
+
+
+def narrow_limits(tmp_path: Path) -> Path:
+    return narrowed(tmp_path, hip_roll=0.1, ankle_roll=0.1)
+
+
+def one_leg_longer(tmp_path: Path) -> Path:
+    urdf = Urdf.load(SMALL)
+    urdf.joints["r_ankle_pitch"].origin[2, 3] *= 1.02
+    return written(tmp_path, urdf)
+
+
+FOOT_BOX = r'<box size="0.1265 0.0825 0.0132"/>'
+
+
+def missing_meshes(tmp_path: Path) -> Path:
+    return edited(tmp_path, SMALL, (FOOT_BOX, '<mesh filename="package://robot/foot.stl"/>'))
+
+
+def lfs_pointers(tmp_path: Path) -> Path:
+    (tmp_path / "foot.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 84\n")
+    return edited(tmp_path, SMALL, (FOOT_BOX, '<mesh filename="foot.stl"/>'))
+
+
+def placeholder_inertias(tmp_path: Path) -> Path:
+    return edited(
+        tmp_path, SMALL, (r'<inertia ixx="[^"]*" iyy="[^"]*" izz="[^"]*"', '<inertia ixx="1" iyy="1" izz="1"')
+    )
+
+
+PERTURBED: list[tuple[Callable[[Path], Path], str, str]] = [  # what is done, the refusal, and the repair that is said
+    (millimetres, "are the lengths in millimetres", ""),
+    (degrees, "", "can only be degrees"),
+    (root_at_the_foot, "", "is in a leg"),
+    (y_up, "", ""),
+    (axes_negated, "", ""),
+    (narrow_limits, "no posture was found|cannot be placed over one sole", ""),
+    (one_leg_longer, "", ""),
+    (missing_meshes, "'package://robot/foot.stl' not found", ""),
+    (lfs_pointers, "git lfs pull", ""),
+    (placeholder_inertias, "", "moment of inertia 1 kg m"),
+]
+
+
+@pytest.mark.parametrize(("perturb", "refusal", "repair"), PERTURBED, ids=lambda one: getattr(one, "__name__", ""))
+def test_what_people_do_to_a_robot_is_undone_or_named(
+    perturb: Callable[[Path], Path], refusal: str, repair: str, tmp_path: Path
+) -> None:
+    path = perturb(tmp_path)
+    if refusal:
+        with pytest.raises(ModelError, match=refusal):
+            adopt(path, tmp_path / "out")
+        return
+    urdf = Urdf.load(path)
+    repair_degrees(urdf)
+    found = find_anatomy(urdf, Shapes(urdf, path))
+    repair_inertias(urdf, Shapes(urdf, path), found.leg)
+    plain = anatomy_of(Urdf.load(SMALL))
+    assert found.legs == plain.legs
+    assert (found.kinds, found.sideways, found.turns) == (plain.kinds, True, True)
+    assert found.leg == pytest.approx(plain.leg, rel=0.02)
+    assert any(repair in text for text in [*urdf.repairs, ""])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "perturb", [one for one, refusal, _ in PERTURBED if not refusal], ids=lambda one: getattr(one, "__name__", "")
+)
+def test_perturbed_robots_walk(
+    perturb: Callable[[Path], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["adopt", str(perturb(tmp_path)), "--out", str(tmp_path / "out"), "--yes", "--quiet"]) == 0
+    assert re.search(r"dynamic walk: walked 0\.\d+ m\n", capsys.readouterr().out)
