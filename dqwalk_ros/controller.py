@@ -13,6 +13,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.estimation.load import FootLoads
 from dqwalk_ros.estimation.vertical import filtered_vertical
+from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -204,18 +205,16 @@ class VelocityController:
             self._resume(state, held)
         elif self._taking_over is not None:
             self._begin_next_phase(state, self._kinematics(state, self.phase.base))
-        kin, error = self._observe(state)
+        kin, error, now = self._evaluate(state, dt)
         self._last_state = state
         while not self.finished and self._is_over(error, state.elapsed):
             self._begin_next_phase(state, kin)
-            kin, error = self._observe(state)
+            kin, error, now = self._evaluate(state, dt)
         self.kin, self.error = kin, error
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
-        # the command is computed for the predicted state at which it takes effect
         state.elapsed += self._drive.delay
-        ahead = state.q + self._history.pending(state.time)
-        self.problem = self.phase.evaluate(ahead, kin.up, state.elapsed, dt, self._limit).problem  # (U6)
+        self.problem = now.problem  # (U6)
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
         u = _within(u, self._u, self.model.velocity_max)
@@ -241,14 +240,19 @@ class VelocityController:
         effort = self._active.effort(self.phase, kin, state, u) + self._drive.lead * u
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
 
-    def _observe(self, state: State) -> tuple[Kinematics, float]:
-        """Return the kinematics at `state`, and the error of the phase, which the walk may update."""
+    def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, float, Evaluation]:
+        """Return kinematics and error at `state`, and the evaluation at the predicted state at which the command acts.
+
+        All are those of the present phase, which the walk may update first.
+        """
         kin, state.elapsed = self._kinematics(state, self.phase.base), state.time - self.phase_began
         self.loads = state.loads = self._foot_loads.update(kin, state)
         if (change := self._active.observe(self.phase, kin, state)) is not None:
             self.phase.apply(change)
             self._taking_over = change.walk
-        return kin, self.phase.assembly.error(kin, state.elapsed)
+        phase, delay, ahead = self.phase, self._drive.delay, state.q + self._history.pending(state.time)
+        now = phase.evaluate(ahead, kin.up, state.elapsed + delay, dt, self._limit)
+        return kin, phase.assembly.error(kin, state.elapsed) if delay > 0.0 else now.error, now
 
     def _kinematics(self, state: State, base: Foot) -> Kinematics:
         kin = Kinematics.measured(self.model, state.q, base, state.up)
