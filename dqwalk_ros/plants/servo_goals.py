@@ -207,6 +207,7 @@ class ServoGoals:
         n = len(limits.joint_names)
         self.gate, self.window, self._drive, self._limits = gate, window, drive, limits
         self._fastest = np.minimum(limits.velocity_max, FASTEST)
+        self._range = np.ascontiguousarray(limits.q_min), np.ascontiguousarray(limits.q_max)  # else compiled again
         self._step = np.maximum(np.broadcast_to(resolution, (n,)), 1e-12)
         self._rate, self._latency = rate, latency
         full = drive.angles(np.minimum(limits.effort_max, np.finfo(float).max))
@@ -315,8 +316,8 @@ class ServoGoals:
             self._offset = self._offset_of(effort)
         pending = self._history.pending(self.gate.oldest)
         u, self.wanted, self.goal, rounded = _goals(
-            self.wanted, velocity, dt, self.gate.q, pending, self.window, self._limits.q_min, self._limits.q_max,
-            self._offset, self.goal, self._fastest, self._step,
+            self.wanted, velocity, dt, self.gate.q, pending, self.window, *self._range, self._offset,
+            self.goal, self._fastest, self._step,
         )  # fmt: skip
         self._history.add(time, u, dt)
         if self._rate <= 0.0 or time - self._written >= 1.0 / self._rate - 1e-9:
