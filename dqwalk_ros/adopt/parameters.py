@@ -267,7 +267,12 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("gait.recover", "dynamic.yaml", "whose steps catch pushes that one sole cannot bear"),
         Entry("task.eta", 2.0, "as for every robot", "default"),
         Entry("task.damping", 0.03, "as for every robot", "default"),
-        Entry("task.posture_weight", 0.0002, "as for every robot", "default"),
+        Entry(
+            "task.posture_weight",
+            rounded(0.0002 * small**2),
+            "weighs angles against lengths: less for the square of a short leg, or the CoM is held off its goal",
+            "default",
+        ),
         Entry("pelvis.height", rounded(0.7 * standing.pelvis), "0.7 of the standing height"),
         Entry(
             "standing.posture",

@@ -689,6 +689,17 @@ def test_what_people_do_to_a_robot_is_undone_or_named(
 
 
 @pytest.mark.long
+def test_the_weight_of_the_posture_against_lengths_is_that_of_a_smaller_robot(tmp_path: Path) -> None:
+    """The error of the CoM is a length, the posture is angles: for half the size the ratio of their squares is 1/4."""
+    half = Urdf(in_units(SMALL.read_text(), 0.5), "half")
+    half.scale_mass(0.5)
+    weights = [
+        adopt(path, tmp_path / path.stem).config.task.posture_weight for path in (SMALL, written(tmp_path, half))
+    ]
+    assert weights[1] == pytest.approx(0.25 * weights[0], rel=0.01)
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(
     "perturb", [one for one, refusal, _ in PERTURBED if not refusal], ids=lambda one: getattr(one, "__name__", "")
 )
