@@ -7,12 +7,14 @@ the physics engine and the dynamics library. Nothing in this file is specific to
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
+import functools
+import hashlib
 import math
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -155,7 +157,7 @@ class RobotModel:
         """Name of the URDF's root link, the floating base."""
         return self.links[0]
 
-    @cached_property
+    @functools.cached_property
     def links(self) -> tuple[str, ...]:
         """Names of the links whose frames are those of the bodies."""
         first: dict[int, str] = {}
@@ -244,7 +246,22 @@ def load_model(config: RobotConfig) -> RobotModel:
     ModelError
         If the URDF cannot be read or lacks a link or joint that `config` names; the message names it.
     """
-    return _model(Urdf.load(find_urdf(config.urdf)), config, published=False)
+    path = find_urdf(config.urdf)
+    with contextlib.suppress(OSError):  # `Urdf.load` says why it cannot be read
+        data = path.read_bytes() if path.stat().st_size <= _REMEMBERED else b"xacro"
+        if b"xacro" not in data:  # which may include other files
+            return _of_file(path, hashlib.sha256(data).digest(), config)
+    return _model(Urdf.load(path), config, published=False)
+
+
+_REMEMBERED = 2**20
+"""Largest file whose model is remembered [byte]."""
+
+
+@functools.lru_cache(maxsize=16)
+def _of_file(path: pathlib.Path, digest: bytes, config: RobotConfig) -> RobotModel:
+    """Return the model of a file of this content; studies, nodes and reports ask for the same one many times."""
+    return _model(Urdf.load(path), config, published=False)
 
 
 def parse_model(text: str, config: RobotConfig) -> RobotModel:

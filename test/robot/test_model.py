@@ -40,6 +40,14 @@ def test_a_model_can_be_pickled():
     assert again.root == model.root
 
 
+def test_a_changed_file_is_another_robot(tmp_path):
+    config = RobotConfig(urdf=str(edited(tmp_path, POPPY, (r'<robot name="\w+"', '<robot name="one"'))))
+    first = load_model(config)
+    assert load_model(config) is first
+    edited(tmp_path, POPPY, (r'<robot name="\w+"', '<robot name="two"'))
+    assert (first.name, load_model(config).name) == ("one", "two")
+
+
 def test_the_whole_poppy_has_25_joints():
     model = poppy()
     assert model.n == 25
