@@ -32,8 +32,6 @@ __all__ = ["InvertedPendulum", "Pendulum", "angular_momentum", "swing_inertia"]
 
 _SMOOTH = 0.02
 """Time constant of the filter of the measured xi [s]."""
-_LEARNING = 3.0
-"""Time constant of the estimate of the constant error of the measured CoM [s]."""
 
 
 def angular_momentum(kin: Kinematics) -> Array:
@@ -141,36 +139,30 @@ class Pendulum:
         Reference of the CoM, and planned divergent component [m].
     smooth : ndarray, shape (2,)
         Filtered measured divergent component [m].
-    bias : ndarray, shape (2,)
-        Estimate of the constant error of the measured CoM, such as that of a tilted inertial sensor [m].
     pressure : ndarray, shape (2,)
         Last commanded zero-moment point [m].
     """
 
     def __init__(self, omega: Array, delay: float, period: float) -> None:
         self._omega, self._delay, self._wait = omega, delay, max(delay - 0.5 * period, 0.0)
-        self.c, self.xi, self.smooth, self.bias, self.pressure = np.zeros((5, 2))
-        self._raw = np.zeros(2)  # last measured xi
+        self.c, self.xi, self.smooth, self.pressure = np.zeros((4, 2))
         # commanded zero-moment points, the last ones, and since when each one acts
         self._points = np.zeros((math.ceil(delay / period) + 3, 2))
         self._begins = np.full(len(self._points), -math.inf)
 
     def reset(self, c: Array, xi: Array, planned: Array) -> None:
         """Begin at the measured c and xi (2,) with the divergent component `planned` (2,) [m]; nothing is under way."""
-        self.c, self.xi, self.smooth, self._raw, self.bias = c, planned, xi, xi, np.zeros(2)
+        self.c, self.xi, self.smooth = c, planned, xi
         self._points[:], self._begins[:] = c, -math.inf
 
     def advance(self, dt: float) -> None:
         """Move the reference of the CoM by `dt` [s], c' = w (xi - c)."""
         self.c = self.c + dt * self._omega * (self.xi - self.c)
 
-    def measure(self, time: float, dt: float, c: Array, xi: Array) -> tuple[Array, Array]:
-        """Include c and xi (2,), measured at `time`, `dt` after the last ones [s]; return them without the bias [m]."""
+    def measure(self, time: float, dt: float, xi: Array) -> None:
+        """Include xi (2,) [m], measured at `time`, `dt` after the last one [s]."""
         z = _in_effect(self._begins, self._points, time - 0.5 * dt)
-        self.bias = _learned(self.bias, self._raw, xi, z, self._omega, dt)
-        self._raw, c, xi = xi, c - self.bias, xi - self.bias
         self.smooth = _filtered(self.smooth, z, xi, self._omega, dt)
-        return c, xi
 
     def when_acting(self, time: float, c: Array, xi: Array) -> tuple[Array, Array]:
         """Return c and xi (2,) [m] when the command for the state at `time` [s] acts, from those at `time`."""
@@ -185,10 +177,9 @@ class Pendulum:
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
-        self.c, self.xi, self.smooth, self.pressure, self._raw = (
-            other.points(p) for p in (self.c, self.xi, self.smooth, self.pressure, self._raw)
+        self.c, self.xi, self.smooth, self.pressure = (
+            other.points(p) for p in (self.c, self.xi, self.smooth, self.pressure)
         )
-        self.bias = other.points(self.bias) - other.points(np.zeros(2))
         self._points = other.points(self._points)
 
 
@@ -215,16 +206,6 @@ def _later(begins, points, time, end, c, xi, omega):  # type: ignore[no-untyped-
             z, e = points[k], np.exp(omega * (until - time))
             xi, zeta, time = z + e * (xi - z), z + (zeta - z) / e, until
     return 0.5 * (xi + zeta), xi
-
-
-@jit
-def _learned(bias, before, xi, z, omega, dt):  # type: ignore[no-untyped-def]
-    """Return the bias (2,) after xi has moved from `before` (2,) within `dt` [s].
-
-    A constant error b of the measured CoM lets xi seem to diverge from z + b.
-    """
-    moved = before + dt * omega * (0.5 * (before + xi) - z - bias)
-    return bias - (xi - moved) / (omega * _LEARNING)
 
 
 @jit

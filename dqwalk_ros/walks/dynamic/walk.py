@@ -310,7 +310,7 @@ class DynamicWalk(SteppingWalk):
         assert isinstance(phase.rule, Timed)
         t = state.elapsed + phase.rule.begun
         self._rests = t >= phase.rule.duration
-        c, xi = now.measure(state.time, dt, c, xi)
+        now.measure(state.time, dt, xi)
         flight, change = self._flight, None
         if flight is not None:
             change = self._adjust_step(flight, phase, c, t)
@@ -329,8 +329,7 @@ class DynamicWalk(SteppingWalk):
         self._force = ground_force(c, now.pressure, omega, up)
         ahead = _AHEAD_OF_DELAY * self._advance
         later, _ = self._reference.at(t + ahead)
-        place, velocity = converging(now.c, now.xi, later, omega, ahead)
-        self._targets["com"].set(place + now.bias, velocity)
+        self._targets["com"].set(*converging(now.c, now.xi, later, omega, ahead))
         self._targets["upright"].set(up[:2], np.zeros(2))
         return change
 
