@@ -313,8 +313,10 @@ def write_dynamic(
 
     Of the parameters `given` by the user, those of the standing walk's own steps and durations are not used.
     """
-    damping = next(entry.value for entry in entries if entry.what == "servo.damping")
-    new = {entry.what: entry for entry in dynamic_parameters(numbers, damping)}
+    damping, stiffness = (
+        next(entry.value for entry in entries if entry.what == what) for what in ("servo.damping", "servo.stiffness")
+    )
+    new = {entry.what: entry for entry in dynamic_parameters(numbers, damping, stiffness)}
     common = ("dynamic.", "servo.", "qp.")
     only = "gait.recover"  # of the standing walk
     own = {k: v for k, v in given.items() if (k not in new or k.startswith(common)) and k != only}

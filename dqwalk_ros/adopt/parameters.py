@@ -47,6 +47,8 @@ LONGEST = 0.09
 """Step length of the standing walk as a fraction of the leg."""
 MOST_STEPS = 30
 """Largest number of steps of the standing walk."""
+YIELDING = 0.03
+"""Torque with which a leg resists a force that is not fed forward in the dynamic walk, as a part of m g h."""
 FROUDE = 0.05
 """Speed of the dynamic walk divided by sqrt(g l), with the leg length l."""
 REFERENCE = 0.46
@@ -356,11 +358,11 @@ def drive_parameters(drives: Mapping[str, MjcfDrive], numbers: Numbers) -> tuple
     return values, [entry]
 
 
-def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
+def dynamic_parameters(numbers: Numbers, damping: float, stiffness: float) -> list[Entry]:
     """Return the parameters of the dynamic walk that differ from the standing walk.
 
     They are those of ``config/poppy_dynamic.yaml``, with lengths scaled by the leg and times by its square root;
-    `damping` is ``servo.damping`` [s].
+    `damping` and `stiffness` are those of the section ``servo`` [s, N m/rad].
     """
     anatomy = numbers.anatomy
     size = anatomy.leg / REFERENCE
@@ -404,6 +406,12 @@ def dynamic_parameters(numbers: Numbers, damping: float) -> list[Entry]:
         Entry("dynamic.settled", rounded(0.12 * slow, 2), time),
         Entry("joints.eta", 10.0, "as Poppy", "default"),
         Entry("joints.velocity", 6.0, "as Poppy", "default"),
+        Entry(
+            "servo.window",
+            rounded(min(max(YIELDING * numbers.mgh / stiffness, 0.003), 0.15), 2),
+            f"legs yield with {YIELDING:g} m g h, as those of Poppy",
+            "default",
+        ),
         Entry(
             "servo.assumed_lead", rounded(0.7 * damping, 2), "0.7 of servo.damping: more, and steps get long", "guess"
         ),

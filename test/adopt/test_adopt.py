@@ -223,6 +223,7 @@ def test_the_dynamic_walk_has_the_froude_number_of_its_comment_and_the_drive_of_
     period = config.standing.transfer_duration + config.standing.swing_duration
     assert config.gait.step_length / period == pytest.approx(0.05 * math.sqrt(9.81 * small.anatomy.leg), rel=0.05)
     assert config.servo.stiffness == small.config.servo.stiffness
+    assert config.servo.window * config.servo.stiffness == pytest.approx(0.03 * small.numbers.mgh, rel=0.05)
     assert config.robot == small.config.robot
 
 
