@@ -43,8 +43,8 @@ _WEIGHTS = np.array([1.0] * 6 + [1.0, 0.1, 0.1] + [0.05, 0.05, 0.05])
 """Weights of position and orientation of the swing sole, of the CoM, and of the orientation of the pelvis."""
 _NEEDED = [0, 1, 2, 6]
 """The errors that have to vanish: those of the swing sole's position, and of the CoM ahead."""
-_BLUR = 0.15
-"""Time over which accelerations are averaged, as a part of the swing: servos do not follow a jump at the lift-off."""
+_BLUR = 0.2
+"""Time over which velocities and accelerations are averaged, as a part of the swing: servos do not follow a jump."""
 _OFF = 0.01
 """Largest error of a posture that is reached, as a fraction of the height of the CoM."""
 _LENGTHS = np.geomspace(0.06, 1.3, 15)
@@ -181,16 +181,17 @@ def step(config: Config, model: RobotModel, gait: Gait) -> Step:
     motion, place = CubicSpline(t, found), CubicSpline(t, np.array(places))
     early, late = (np.clip(t + side * _BLUR * gait.single, t[0], t[-1]) for side in (-0.5, 0.5))
 
-    def acceleration(of: CubicSpline) -> Array:
-        mean: Array = (of(late, 1) - of(early, 1)) / (late - early).reshape(-1, *[1] * (of.c.ndim - 2))
+    def rate_of(of: CubicSpline, order: int) -> Array:
+        """Return the mean of the derivative of a trajectory of `order` over the time around each sample."""
+        mean: Array = (of(late, order - 1) - of(early, order - 1)) / (late - early).reshape(-1, *[1] * (of.c.ndim - 2))
         return mean
 
     up = np.array([math.sin(gait.slope), 0.0, math.cos(gait.slope)])
-    force = model.mass * tree.links[:, 11, None] * (acceleration(place) + GRAVITY * up)
+    force = model.mass * tree.links[:, 11, None] * (rate_of(place, 2) + GRAVITY * up)
     line = np.array(lines)
     columns = np.cross(line[:, None, :, :3], place(t)[:, :, None, :]) + line[:, None, :, 3:]
     torque = np.einsum("kbjx,kbx,bj->kj", columns, force, tree.moves)
-    return Step(found, motion(t, 1), acceleration(motion), torque, tuple(sorted(stuck)), off)
+    return Step(found, rate_of(motion, 1), rate_of(motion, 2), torque, tuple(sorted(stuck)), off)
 
 
 @dataclass(frozen=True)
