@@ -158,6 +158,8 @@ def _evaluate(
         config = config.updated({"sensors.seed": point["seed"]})
         model = load_model(config.robot)
         trace = simulate(make_controller(config, model), make_plant(point["engine"], config, model))
+        if trace.interrupted:
+            raise KeyboardInterrupt  # an interrupted walk has no outcome
         found = report.report(report.analyse(trace))
     except DqwalkError as error:
         return Outcome(False, str(error))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from dqwalk_ros import cli
 from dqwalk_ros.cli.evidence import table
+from dqwalk_ros.studies import evidence
 from dqwalk_ros.studies.evidence import Outcome, bounds, points, read
 from dqwalk_ros.support.errors import ConfigError
 
@@ -56,6 +58,13 @@ def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> Non
     assert walk.split()[-4:] == ["0.57", "2.00", "99.00", "0.100"]
     assert "1 of 1 (>= " in text
     assert "1 x walk, drake: fell" in text
+
+
+def test_an_interrupted_walk_is_no_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+    name, row = next((name, row) for name, row in read("evidence").items() if not row.push)
+    monkeypatch.setattr(evidence, "simulate", lambda *_: SimpleNamespace(interrupted=True))
+    with pytest.raises(KeyboardInterrupt):
+        evidence._evaluate({name: row.made()}, {name: 0.0}, 0, {"row": name, "engine": "physics", "seed": 1})
 
 
 def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
