@@ -32,6 +32,8 @@ __all__ = ["FootLoads", "share_of"]
 
 _SMOOTH = 0.01
 """Time constant of the filter of the forces, and of that of the joint accelerations [s]."""
+_MOST = 3.0
+"""Largest force on a sole, in weights, so that one wrong torque is forgotten after a few filter times."""
 _GAP = 0.1
 """Time without a state after which the filters begin again [s]."""
 
@@ -62,7 +64,7 @@ class FootLoads:
         state : State
             The same state may be given again.
         """
-        if state.effort is None or state.dq is None or not math.isfinite(state.effort @ state.effort):
+        if state.effort is None or state.dq is None or not np.isfinite(state.effort).all():
             return None
         model, tree, dt = kin.model, kin.tree, state.time - self._time
         moves = (tree.moves[tree.frames[frame][0]] for frame in (model.pelvis, kin.swing))
@@ -99,7 +101,7 @@ def _loaded(  # type: ignore[no-untyped-def]
     tau = effort - armature * acceleration
     forces = _forces(lines, com, J_com, up, pelvis, other, at_base, at_other, weight, tau)
     now = np.array([forces[1], forces[0]]) if right else forces
-    return loads + _approach(dt) * (np.maximum(now, 0.0) - loads)
+    return loads + _approach(dt) * (np.minimum(np.maximum(now, 0.0), _MOST * weight) - loads)
 
 
 @jit

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,21 @@ def test_loads_need_torques() -> None:
     kin, loads = Kinematics.measured(MODEL, q, Foot.LEFT, up), FootLoads(CONFIG, MODEL)
     assert loads.update(kin, State(0.0, q, np.zeros(MODEL.n))) is None
     assert loads.update(kin, at_rest(q, np.full(MODEL.n, np.nan))) is None
+
+
+@pytest.mark.parametrize("wrong", [10.0, 1e6, 1e100, 1e300])
+def test_one_wrong_torque_is_forgotten_soon(wrong: float) -> None:
+    plant = make_plant("physics", CONFIG, MODEL)
+    state, loads = plant.state, FootLoads(CONFIG, MODEL)
+    kin = Kinematics.measured(MODEL, state.q, Foot.LEFT, state.up)
+    assert state.effort is not None
+    first = loads.update(kin, state)
+    assert first is not None
+    for k in range(1, 21):
+        effort = np.where(np.arange(MODEL.n) == MODEL.joint_names.index("l_hip_y"), wrong, state.effort)
+        later = replace(state, time=state.time + k * CONFIG.dt, effort=effort if k == 1 else state.effort)
+        last = loads.update(kin, later)
+    np.testing.assert_allclose(last, first, rtol=0.01)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.09, -0.05])
