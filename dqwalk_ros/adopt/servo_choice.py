@@ -32,7 +32,7 @@ from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.footsteps import Footsteps
 
-__all__ = ["Choice", "Gait", "Line", "Most", "Step", "choose", "leg_pairs", "step"]
+__all__ = ["Choice", "Gait", "Most", "Step", "choose", "largest_loads", "leg_pairs", "own_servos", "step"]
 
 
 _SAMPLES = 41
@@ -194,46 +194,18 @@ def step(config: Config, model: RobotModel, gait: Gait) -> Step:
     return Step(found, rate_of(motion, 1), rate_of(motion, 2), torque, tuple(sorted(stuck)), off)
 
 
-@dataclass(frozen=True)
-class Line:
-    """The torque-speed line of the servo of a joint.
+def largest_loads(servos: Servos, motion: Step) -> Array:
+    """Return the largest part of its torque-speed line that each joint needs in a step, shape (n,)."""
+    inner = servos.armature * motion.acceleration + servos.friction * np.sign(motion.velocity)
+    out: Array = servos.load(motion.torque + inner, motion.velocity).max(axis=0)
+    return out
 
-    Attributes
-    ----------
-    stall : float
-        [N m]
-    fastest : float
-        No-load speed [rad/s]; infinite for a servo that has its torque at any speed.
-    friction : float
-        [N m]
-    armature : float
-        [kg m^2]
-    """
 
-    stall: float
-    fastest: float
-    friction: float
-    armature: float
-
-    @classmethod
-    def of_type(cls, kind: ServoType) -> Line:
-        """Return the line of a type at its voltage."""
-        return cls(kind.stall_torque, kind.no_load_speed, kind.friction, kind.armature)
-
-    @classmethod
-    def own(cls, config: Config, model: RobotModel) -> list[Line]:
-        """Return the lines of the servos of a configuration, one for each joint."""
-        s = Servos.of(config, model)
-        fastest = np.divide(s.torque, s.back_emf, out=np.full(model.n, np.inf), where=s.back_emf > 0.0)
-        fastest = np.minimum(fastest, np.where(s.back_emf > 0.0, np.inf, model.velocity_max))
-        return [cls(*row) for row in zip(s.torque, fastest, s.friction, s.armature, strict=True)]
-
-    def load(self, motion: Step, joint: int) -> float:
-        """Return the largest part of the line that a joint needs in a step; 1: there is no more."""
-        speed, torque = motion.velocity[:, joint], motion.torque[:, joint]
-        needed = torque + self.armature * motion.acceleration[:, joint] + self.friction * np.sign(speed)
-        share = needed / self.stall if math.isfinite(self.stall) else np.zeros_like(needed)
-        return float(np.abs(share + speed / self.fastest).max())
+def own_servos(config: Config, model: RobotModel) -> Servos:
+    """Return the servos of a configuration; those without a type lose their torque up to the velocity limit."""
+    servos = Servos.of(config, model)
+    servos.back_emf[:] = np.where(servos.back_emf > 0.0, servos.back_emf, servos.torque / model.velocity_max)
+    return servos
 
 
 @dataclass(frozen=True)
@@ -320,8 +292,10 @@ def choose(
         progress(share / len(plans), f"steps of another {name}")
         ladders[name] = _reached(config, model, gaits)
     present = step(config, model, gait)
-    own = Line.own(config, model)
-    rows = [("own", 0.0, own)] + [(name, kind.voltage, [Line.of_type(kind)] * model.n) for name, kind in types.items()]
+    rows = [("own", 0.0, own_servos(config, model))]
+    for name, kind in types.items():
+        rows.append((name, kind.voltage, Servos.of(config, model)))
+        rows[-1][2].equip(slice(None), kind, kind.voltage, config.servo.p_gain)
     return [_choice(model, pairs, ladders, gait, present, height, *row) for row in rows]
 
 
@@ -345,16 +319,13 @@ def _choice(
     height: float,
     name: str,
     voltage: float,
-    lines: list[Line],
+    servos: Servos,
 ) -> Choice:
     def most(ladder: str, value: Callable[[Gait], float]) -> dict[str, Most]:
-        steps = ladders[ladder]
-        found = {}
-        for pair in pairs:
-            loads = [max(lines[joint].load(motion, joint) for joint in pair) for _, motion in steps]
-            joint = model.joint_names[pair[0]]
-            found[joint] = _crossing([value(g) for g, _ in steps], loads, joint)
-        return found
+        values = [value(g) for g, _ in ladders[ladder]]
+        loads = np.array([largest_loads(servos, motion) for _, motion in ladders[ladder]]).reshape(-1, model.n)
+        names = {model.joint_names[pair[0]]: loads[:, list(pair)].max(axis=1) for pair in pairs}
+        return {joint: _crossing(values, needed.tolist(), joint) for joint, needed in names.items()}
 
     def least(found: dict[str, Most]) -> Most:
         return min(found.values(), key=lambda most: (most.value, "<>".find(most.sign)))
@@ -364,7 +335,7 @@ def _choice(
     rate = math.sqrt(GRAVITY / height)
     longer = max(speed.value * gait.duration - gait.length, 0.0)
     legs = [joint for pair in pairs for joint in pair]
-    warm = max(float(np.sqrt(np.mean(present.torque[:, j] ** 2))) / lines[j].stall for j in legs)
+    warm = float((np.sqrt(np.mean(present.torque**2, axis=0)) / servos.torque)[legs].max())
     return Choice(
         name, voltage, speed, speeds,
         least(most("height", lambda g: g.height)), least(most("slope", lambda g: g.slope)),

@@ -145,17 +145,20 @@ class Servos:
         for joints, name in _entries("servo.types", c.types, model):
             if name not in types:
                 raise ConfigError(f"servo.types names '{name}'; servo.table has {', '.join(types)}")
-            t = types[name]
-            stall = t.stall_torque * c.voltage / t.voltage
-            out.stiffness[joints] = stall * t.gain(c.p_gain)
-            out.damping[joints] = 0.0
-            out.back_emf[joints] = t.stall_torque / t.no_load_speed  # independent of the voltage
-            out.torque[joints] = stall
-            out.backlash[joints] = t.backlash
-            out.friction[joints] = t.friction
-            out.armature[joints] = t.armature
-            out.resolution[joints] = t.resolution
+            out.equip(joints, types[name], c.voltage, c.p_gain)
         return out
+
+    def equip(self, joints: list[int] | slice, kind: ServoType, voltage: float, p_gain: int) -> None:
+        """Put servos of a type, at a voltage [V] and with a gain, into some joints."""
+        stall = kind.stall_torque * voltage / kind.voltage
+        self.stiffness[joints] = stall * kind.gain(p_gain)
+        self.damping[joints] = 0.0
+        self.back_emf[joints] = kind.stall_torque / kind.no_load_speed  # independent of the voltage
+        self.torque[joints] = stall
+        self.backlash[joints] = kind.backlash
+        self.friction[joints] = kind.friction
+        self.armature[joints] = kind.armature
+        self.resolution[joints] = kind.resolution
 
     @classmethod
     def identified(cls, config: Config, model: RobotModel) -> Servos:

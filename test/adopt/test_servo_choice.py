@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import servo_choice
-from dqwalk_ros.adopt.servo_choice import Gait, Line, Step, choose, leg_pairs, step
+from dqwalk_ros.adopt.servo_choice import Gait, Step, choose, largest_loads, leg_pairs, own_servos, step
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import gravity_torques
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.robot.servos import load_types
+from dqwalk_ros.robot.servos import Servos, load_types
 from dqwalk_ros.support.errors import ConfigError
 
 
@@ -65,11 +65,22 @@ def test_the_load_is_the_part_of_the_line() -> None:
     """Half of the stall torque at half of the no-load speed needs all of the voltage."""
     speed, zero = np.array([[0.0], [3.0], [-3.0]]), np.zeros((3, 1))
     motion = Step(zero, speed, zero, np.array([[1.0], [1.0], [1.0]]), (), 0.0)
-    line = Line(2.0, 6.0, 0.0, 0.0)
-    assert line.load(motion, 0) == pytest.approx(1.0)
-    assert replace(line, friction=0.2).load(motion, 0) == pytest.approx(1.1)
-    assert replace(line, fastest=np.inf).load(motion, 0) == pytest.approx(0.5)
-    assert replace(line, armature=0.1).load(replace(motion, acceleration=zero + 4.0), 0) == pytest.approx(1.2)
+    values = {field.name: np.zeros(1) for field in fields(Servos)}
+    servos = Servos(**values | {"torque": np.array([2.0]), "back_emf": np.array([2.0 / 6.0])})
+    assert largest_loads(servos, motion) == pytest.approx(1.0)
+    assert largest_loads(replace(servos, friction=np.array([0.2])), motion) == pytest.approx(1.1)
+    assert largest_loads(replace(servos, back_emf=np.zeros(1)), motion) == pytest.approx(0.5)
+    rotor = replace(servos, armature=np.array([0.1]))
+    assert largest_loads(rotor, replace(motion, acceleration=zero + 4.0)) == pytest.approx(1.2)
+
+
+def test_a_servo_without_a_type_has_no_torque_at_the_velocity_limit(poppy: tuple[Config, RobotModel]) -> None:
+    config, model = poppy
+    servos = own_servos(config, model)
+    np.testing.assert_allclose(servos.load(np.zeros(model.n), model.velocity_max), 1.0)
+    typed = own_servos(config.updated({"servo.types": ["*=AX-12"]}), model)
+    kind = load_types(config.servo.table)["AX-12"]
+    np.testing.assert_allclose(typed.load(np.zeros(model.n), np.full(model.n, kind.no_load_speed)), 1.0)
 
 
 def test_pairs_are_the_joints_of_both_legs(poppy: tuple[Config, RobotModel]) -> None:
