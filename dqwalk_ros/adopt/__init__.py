@@ -326,9 +326,10 @@ def write_dynamic(
 
 
 def _add_frames(urdf: Urdf, anatomy: Anatomy) -> str:
-    """Add a root link and a pelvis with x forward and z up between the hips, if there are none; return the pelvis.
+    """Add a root link and a pelvis with x forward and z up between the hips where there are none.
 
-    Where a description has the origins and the axes of these links is arbitrary; heights and directions are not.
+    The name of the pelvis is returned. Where a description has the origins and the axes of these links is arbitrary;
+    heights and directions are not.
     """
     hips = anatomy.hips
 

@@ -73,7 +73,7 @@ examples:
     metavar="KG",
     type=click.FloatRange(0.5, 20.0),
     help="Push recovery of the RoboCup Humanoid League (rules of 2025): while the robot walks on the spot, a bottle on "
-    "a rope of 1.75 m hits its pelvis, from behind and from the front.",
+    "a rope of 1.75 m hits its pelvis, from behind and from the front. Has its own directions and no --duration.",
 )
 @many_options("pushes")
 @params_option

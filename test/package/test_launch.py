@@ -267,6 +267,35 @@ def test_every_launch_file_refuses_a_configuration_that_does_not_exist(others: d
         assert own["nodes"](given), name
 
 
+def test_nodes_are_discovered_on_this_machine_only_unless_asked_otherwise(
+    defined: dict[str, Any], others: dict[str, dict[str, Any]]
+) -> None:
+    """ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST unless the environment or the argument sets it."""
+    for name, own in {"walk": defined, **others}.items():
+        actions = own["generate_launch_description"]().args[0]
+        declared = {one.args[0]: one.given for one in actions if type(one).__name__ == "DeclareLaunchArgument"}
+        assert declared.keys() - {"discovery"} == own["ARGUMENTS"].keys()
+        assert type(actions[-1]).__name__ == "OpaqueFunction"
+        if name == "demo":  # it includes walk.launch.py
+            assert "discovery" not in declared
+            continue
+        (variable,) = (one for one in actions if type(one).__name__ == "SetEnvironmentVariable")
+        assert (variable.args[0], variable.args[1].args) == ("ROS_AUTOMATIC_DISCOVERY_RANGE", ("discovery",))
+        default = declared["discovery"]["default_value"]
+        assert (type(default).__name__, default.args) == ("EnvironmentVariable", ("ROS_AUTOMATIC_DISCOVERY_RANGE",))
+        assert default.given == {"default_value": "LOCALHOST"}
+
+
+def test_every_node_has_its_enclave(defined: dict[str, Any], others: dict[str, dict[str, Any]]) -> None:
+    for own in (defined, others["ros2_control"], others["whole_body"]):
+        given = {key: default for key, (default, *_) in own["ARGUMENTS"].items()}
+        nodes = [one for one in own["nodes"](given) if type(one).__name__ == "Node"]
+        assert nodes
+        for node in nodes:
+            name = node.given.get("name", node.given["executable"])
+            assert node.given["ros_arguments"][:2] == ["--enclave", f"/dqwalk/{name}"]
+
+
 def test_the_demo_is_a_steered_walk_in_physics_on_the_page(others: dict[str, dict[str, Any]], start: Start) -> None:
     own = others["demo"]
     given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()}

@@ -124,22 +124,6 @@ def test_a_secured_node_does_not_start_without_its_keys(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-STARTS = [file for file in sorted((ROOT / "launch").iterdir()) if "launch_ros" in file.read_text(encoding="utf-8")]
-"""The launch files that start nodes, and do not only include others."""
-
-
-@pytest.mark.parametrize("file", STARTS, ids=lambda file: file.name)
-def test_launch_files_limit_discovery_to_this_machine(file: Path) -> None:
-    """ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST unless the environment or an argument sets it."""
-    text = file.read_text(encoding="utf-8")
-    assert text.endswith("return description(ARGUMENTS, nodes)\n")
-    shared = (ROOT / "dqwalk_ros/nodes/launching.py").read_text(encoding="utf-8")
-    assert '_DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"' in shared
-    assert 'EnvironmentVariable(_DISCOVERY, default_value="LOCALHOST")' in shared
-    assert 'SetEnvironmentVariable(_DISCOVERY, LaunchConfiguration("discovery"))' in shared
-    assert '"--enclave"' in text
-
-
 def test_the_runner_limits_discovery_to_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     from dqwalk_ros.cli.runner import environment
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 import subprocess
@@ -71,6 +72,19 @@ def test_modules_are_imported_when_needed(name):
 
 CODE = "import numpy as np\nfrom dqwalk_ros.paper.kinematics import compose\nx = np.eye(8)[0]\nprint(compose(x, x))"
 ANNOUNCED = "compiling for this machine"
+
+
+def test_a_compiled_function_calls_only_modules_that_its_digest_contains():
+    """The digest follows `from MODULE import NAME`; of a module that is imported from its package it has nothing."""
+    for file in (ROOT / "dqwalk_ros").rglob("*.py"):
+        if "jit" not in (text := file.read_text(encoding="utf-8")):
+            continue
+        for found in ast.walk(ast.parse(text)):
+            assert not isinstance(found, ast.Import) or not any("dqwalk_ros" in name.name for name in found.names), file
+            if isinstance(found, ast.ImportFrom) and (found.module or "").startswith("dqwalk_ros"):
+                place = ROOT.joinpath(*found.module.split("."))
+                modules = [n.name for n in found.names if place.joinpath(f"{n.name}.py").is_file()]
+                assert not modules, f"{file}: import names from {found.module}.{modules[0]}"
 
 
 def test_compilation_is_announced_and_repeated_when_only_a_called_function_changes(tmp_path):
