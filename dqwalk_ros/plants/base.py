@@ -150,8 +150,7 @@ def checked(values: ArrayLike, n: int, what: str) -> Array:
         If their number is wrong, or one is not finite.
     """
     out = np.asarray(values, dtype=np.float64)
-    # the sum of squares is a fast first test, which may overflow
-    if out.shape != (n,) or not (math.isfinite(out @ out) or np.isfinite(out).all()):
+    if out.shape != (n,) or not np.isfinite(out).all():
         raise PlantError(f"the command must have {n} finite {what}, got {out}")
     return out
 

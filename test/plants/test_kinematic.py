@@ -50,6 +50,12 @@ def test_invalid_velocities_are_refused_without_motion(bad):
         assert plant.state is before
 
 
+@pytest.mark.filterwarnings("error")
+def test_velocities_of_any_size_are_clamped_without_a_warning():
+    state = KinematicPlant(MODEL).step(Command(0.0, np.full(MODEL.n, 1e300)), DT)
+    np.testing.assert_allclose(state.q, np.minimum(DT * MODEL.velocity_max, MODEL.q_max))
+
+
 def test_an_invalid_start_posture_is_refused():
     for q in (np.zeros(MODEL.n + 1), np.full(MODEL.n, np.nan)):
         with pytest.raises(PlantError, match="finite angles"):
