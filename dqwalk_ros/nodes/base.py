@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import ctypes
 import json
 import os
 import signal
@@ -30,6 +29,7 @@ from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
+from dqwalk_ros.support.interrupts import end_with
 from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS
 
@@ -302,14 +302,14 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
     """
     parent = os.getppid()
     if options.child:
-        _end_with(parent)
+        end_with(parent, signal.SIGTERM)
     node: WalkNode | None = None
     code = 1
     try:
         signals = wheels.init(options.argv)
         node = made = kind(options)
         if made.config.node.end_with_parent:
-            _end_with(parent)
+            end_with(parent, signal.SIGTERM)
         made.refuse_a_second()
         wheels.spin(made, lambda: (signals or made.done.done()) and made.is_drained(), pause=made.pause)
         code = 0
@@ -326,11 +326,3 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
                 code = node.done.result()
             wheels.shutdown(node, code)
     return code
-
-
-def _end_with(parent: int) -> None:
-    """Have the kernel send SIGTERM when the parent process dies, so that no robot walks on unsupervised."""
-    with contextlib.suppress(OSError, AttributeError):  # not Linux
-        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
-    if os.getppid() != parent:  # it has died before
-        os.kill(os.getpid(), signal.SIGTERM)

@@ -7,7 +7,6 @@ import errno
 import fcntl
 import os
 import random
-import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -15,6 +14,7 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from dqwalk_ros.support.errors import ConfigError, StudyError
+from dqwalk_ros.support.interrupts import serve
 
 __all__ = ["Store", "run"]
 
@@ -189,9 +189,7 @@ def _backend(scheduler: str | None) -> Iterator[None]:
     from joblib import parallel_config
 
     if scheduler is None:
-        # Ctrl-C reaches the workers, too; without a handler from their start they print tracebacks of their imports
-        ignore = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_IGN)}
-        with parallel_config("loky", inner_max_num_threads=1, **ignore):
+        with parallel_config("loky", inner_max_num_threads=1, initializer=serve, initargs=(os.getpid(),)):
             yield
         return
     from distributed import Client

@@ -1,15 +1,17 @@
-"""Signals that end a loop between two of its steps, where nothing is lost."""
+"""Signals that end a loop between two of its steps, where nothing is lost, and processes that end with their parent."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import os
 import signal
 import threading
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-__all__ = ["deferred_interrupts", "is_interrupt"]
+__all__ = ["deferred_interrupts", "end_with", "is_interrupt", "serve"]
 
 
 @contextlib.contextmanager
@@ -45,3 +47,24 @@ def deferred_interrupts() -> Iterator[list[signal.Signals]]:
 def is_interrupt(error: BaseException | None) -> bool:
     """Return whether an error is a KeyboardInterrupt, or the SystemError that a function of numba turns it into."""
     return isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemError) and is_interrupt(error.__cause__))
+
+
+def end_with(parent: int, number: signal.Signals) -> None:
+    """Have the kernel send this process a signal when its parent dies, so that no robot walks on unsupervised.
+
+    Parameters
+    ----------
+    parent : int
+        Process id of the parent; if it has died already, the signal is sent now.
+    number : signal.Signals
+    """
+    with contextlib.suppress(OSError, AttributeError):  # not Linux
+        ctypes.CDLL(None).prctl(1, number)  # PR_SET_PDEATHSIG
+    if os.getppid() != parent:
+        os.kill(os.getpid(), number)
+
+
+def serve(parent: int) -> None:
+    """Leave Ctrl-C, which reaches the workers of a study, too, to their parent, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with(parent, signal.SIGKILL)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import itertools
 import json
 import math
@@ -17,7 +19,7 @@ import numpy as np
 import pytest
 from distributed import LocalCluster
 from full_disk import limited_file_size
-from points import Number, ignores_interrupts
+from points import Number
 from pyarrow import parquet
 
 from dqwalk_ros import cli
@@ -196,9 +198,35 @@ def square(index: int, point: dict[str, float]) -> Number:
     return Number(point["x"] ** 2)
 
 
-def test_workers_ignore_ctrl_c(tmp_path):
-    store = Store(tmp_path / "walks.jsonl", "x", POINTS, Number)
-    assert {one.square for one in run(ignores_interrupts, store, jobs=2).values()} == {1.0}
+def test_workers_ignore_ctrl_c_and_end_with_their_study(tmp_path):
+    """They walked on after SIGTERM, which ends the study at once."""
+    files = [tmp_path / "one", tmp_path / "two"]
+    points = [{"file": str(file)} for file in files]
+    program = (
+        "from pathlib import Path; from points import Number, hold_a_lock; "
+        "from dqwalk_ros.studies.runner import Store, run; "
+        f"run(hold_a_lock, Store(Path({str(tmp_path / 'walks.jsonl')!r}), 'x', {points}, Number), jobs=2)"
+    )
+    study = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT / "test/support")
+    while not all(file.exists() and file.read_text() for file in files):
+        assert study.poll() is None
+        time.sleep(0.02)
+    assert {file.read_text() for file in files} == {"True"}
+    study.terminate()
+    study.wait(timeout=60)
+    assert all(map(released, files))
+
+
+def released(file: Path) -> bool:
+    """Return whether the lock of a file is released within a minute."""
+    deadline = time.monotonic() + 60.0
+    with file.open() as one:
+        while time.monotonic() < deadline:
+            with contextlib.suppress(BlockingIOError):
+                fcntl.flock(one, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return True
+            time.sleep(0.02)
+    return False
 
 
 @pytest.mark.parametrize(
