@@ -14,14 +14,16 @@ import re
 import sys
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from dqwalk_ros.config import Config, Spec
+from dqwalk_ros.config import Config, Spec, overlaid
+from dqwalk_ros.plants.table import PLANTS
 from dqwalk_ros.support.errors import ConfigError, how_to_install
 from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
-__all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
+__all__ = ["NODES", "defaults_of", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
 
 
 def docstring(name: str) -> str:
@@ -39,10 +41,17 @@ def sections_of(name: str) -> list[str]:
     return re.split(r",\s+", found.group(1)) if found else []
 
 
+def defaults_of(name: str) -> Config:
+    """Return the parameters of a node where none are given; the driver of a robot has those of its plant's file."""
+    files = [each.parameters for each in PLANTS.values() if each.node == name and not each.type]
+    return overlaid(Config(), files[0]) if files else Config()
+
+
 def parameters_of(name: str) -> list[Spec]:
-    """Return the parameters that a node uses: those of `sections_of`."""
-    listed = sections_of(name)
-    return [spec for spec in Config.specs() if spec.name in listed or spec.name.split(".")[0] in listed]
+    """Return the parameters that a node uses, those of `sections_of`, with its defaults."""
+    listed, defaults = sections_of(name), defaults_of(name).flat()
+    used = [spec for spec in Config.specs() if spec.name in listed or spec.name.split(".")[0] in listed]
+    return [replace(spec, default=defaults[spec.name]) for spec in used]
 
 
 def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:

@@ -17,6 +17,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 
 from dqwalk_ros.config import OF_RCLPY, Config, Spec, beside, is_foreign, sections_of
+from dqwalk_ros.nodes.command_line import defaults_of
 from dqwalk_ros.support import strict_yaml
 
 __all__ = ["declare"]
@@ -28,7 +29,8 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
     Parameters
     ----------
     argv : sequence of str
-        Command line of the process, whose parameter files are checked for sections with misspelt names.
+        Name of the node in `command_line`, whose defaults apply, and command line of the process, whose parameter files
+        are checked for sections with misspelt names.
 
     Raises
     ------
@@ -49,7 +51,7 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
     foreign = [name for name in given if is_foreign(name)]
     if foreign:
         log.info(f"ignoring parameters of other packages: {', '.join(foreign)}")
-    config = Config().updated({name: value for name, value in given.items() if name not in foreign})
+    config = defaults_of(argv[0]).updated({name: value for name, value in given.items() if name not in foreign})
     for path in files:
         config = beside(path, config)
     for name, value in config.flat().items():

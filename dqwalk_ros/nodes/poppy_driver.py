@@ -54,9 +54,11 @@ class PoppyDriver(WalkNode):
 
     Sections of the schema: dt, robot, standing.posture, plant, servo, monitor.rate, poppy.
 
+    The defaults are those of config/plants/poppy.yaml.
+
     Example::
 
-        dqwalk_poppy_driver --ros-args --params-file config/plants/poppy.yaml -p poppy.dummy:=true
+        dqwalk_poppy_driver --ros-args -p poppy.dummy:=true
 
     Raises
     ------

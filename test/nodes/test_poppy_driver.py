@@ -27,7 +27,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from dqwalk_ros.cli.runner import private_domain
-from dqwalk_ros.config import Config, load
+from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.plants.poppy.dynamixel import GOAL, TORQUE_ENABLE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -324,6 +324,12 @@ def test_commands_move_the_robot_whatever_their_stamps(make: Any, monkeypatch: p
     node._plant._law.active = node._plant.ready = False
     node._plant.close()
     assert passed == pytest.approx([CONFIG.dt] * 5)
+
+
+def test_the_defaults_of_the_driver_are_those_of_its_plant(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a parameter file it had the period of a simulation, and wrote the highest gain to the servos."""
+    one, _ = driver_node(make, monkeypatch, "/**: {ros__parameters: {poppy.start_speed: 0.1}}")
+    assert one.node.config == overlaid(Config(), "poppy").updated({"poppy.start_speed": 0.1})
 
 
 def test_a_clock_that_is_set_back_withholds_no_state(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:

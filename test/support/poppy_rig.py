@@ -89,7 +89,7 @@ class Rig:
 
 
 def driver_node(
-    make: Any, monkeypatch: pytest.MonkeyPatch, config: Config, memory: Memory | None = None
+    make: Any, monkeypatch: pytest.MonkeyPatch, config: Config | str, memory: Memory | None = None
 ) -> tuple[Any, Memory]:
     """Return the driver as a node in the process of the test, and its servos, new ones or those of `memory`.
 
