@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,8 +28,8 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
 __all__ = [
-    "Circle", "Ending", "Ground", "Series", "Span", "analyse", "hull_margin", "pelvis_in_odom",
-    "support_polygon", "urdf_soles",
+    "Circle", "Ending", "Ground", "Series", "Span", "analyse", "commanded_way", "hull_margin", "middle",
+    "pelvis_in_odom", "shortfall", "support_polygon", "urdf_soles",
 ]  # fmt: skip
 
 
@@ -37,6 +37,8 @@ FALLEN = 0.6
 """Height of the pelvis, relative to its first height, below which the robot has fallen."""
 TIPPED = np.radians(20.0)
 """Tilt of the more loaded sole above which the robot has fallen [rad]."""
+WAY = 0.8
+"""Least part of the way of its steps that a walk covers; below it, it was stopped, and marked time."""
 _TOUCH = 1e-4
 """Distance beyond an edge up to which the centre of pressure counts as inside, because contacts are soft [m]."""
 _TURNED = np.radians(60.0)
@@ -377,6 +379,38 @@ def analyse(trace: Trace) -> Series:
 # ---------------------------------------------------------------------- in physics
 
 
+def middle(soles: Mapping[Foot, Array], model: RobotModel) -> Array:
+    """Return the middle between the centres of both soles with poses (..., 8), shape (..., 3) [m]."""
+    centers = [DQ(soles[foot]).transform_point(model.soles[foot].center) for foot in Foot]
+    return np.asarray(np.mean(centers, axis=0))
+
+
+def commanded_way(steps: Iterable[Phase]) -> float:
+    """Return the length of the way of the middle between the soles if each step lands on its target [m].
+
+    Parameters
+    ----------
+    steps : iterable of Phase
+        The single supports that ended with a landing.
+    """
+    way, before = 0.0, None
+    for phase in steps:
+        assert phase.swing_target is not None
+        if before is None:
+            kin = Kinematics(phase.model, phase.q_start, phase.base)
+            before = DQ(kin.pose(kin.swing))
+        target = DQ(phase.swing_target)
+        way += 0.5 * float(np.linalg.norm((target.translation() - before.translation())[:2]))
+        before = target.conj()  # the foot that swings next, in the frame of the one that has landed
+    return way
+
+
+def shortfall(way: float, commanded: float) -> str:
+    """Return a sentence that says that a walk covered too little of its commanded way [m]; empty if it did not."""
+    short = way < WAY * commanded
+    return f"the robot was stopped: its soles went {way:.2f} m, its steps lead {commanded:.2f} m" if short else ""
+
+
 @dataclass(frozen=True)
 class Circle:
     """The circle of least squares through a path.
@@ -470,6 +504,16 @@ class Ground:
         self.power, self.work = np.abs(joints).sum(axis=1), np.maximum(joints, 0.0).sum(axis=1)
 
     @property
+    def way(self) -> float:
+        """Length of the path of the middle between the soles, from step to step [m]."""
+        return float(np.linalg.norm(np.diff(self.stands[:, :2], axis=0), axis=1).sum())
+
+    @property
+    def commanded(self) -> float:
+        """Length of that path if each step lands on its target [m]."""
+        return commanded_way(span.phase for span in self._series.spans if not span.double and span.ending is not None)
+
+    @property
     def inside(self) -> float:
         """Fraction of the ticks whose centre of pressure is inside; ticks in the air count as outside."""
         return float(np.mean(np.nan_to_num(self.cop_margin, nan=-np.inf) >= -_TOUCH))
@@ -513,10 +557,8 @@ class Ground:
     def _stands(self) -> Array:
         series = self._series
         ticks = [span.start for span in series.spans if span.double] + [len(series.time) - 1]
-        places, yaws = [], []
-        for foot in Foot:
-            x = DQ(self.soles[foot][ticks])
-            places.append(x.transform_point(series.trace.model.soles[foot].center)[:, :2])
-            ahead = x.P().Ad(DQ(np.array([1.0, 0.0, 0.0]))).vec3()
+        soles, yaws = {foot: x[ticks] for foot, x in self.soles.items()}, []
+        for x in soles.values():
+            ahead = DQ(x).P().Ad(DQ(np.array([1.0, 0.0, 0.0]))).vec3()
             yaws.append(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
-        return np.column_stack([np.mean(places, axis=0), np.mean(yaws, axis=0)])
+        return np.column_stack([middle(soles, series.trace.model)[:, :2], np.mean(yaws, axis=0)])

@@ -25,7 +25,7 @@ from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.report.binding import limits_reached, most_loaded
 from dqwalk_ros.report.causes import causes
-from dqwalk_ros.report.metrics import FALLEN, Ending, Ground, Series, Span, support_polygon
+from dqwalk_ros.report.metrics import FALLEN, WAY, Ending, Ground, Series, Span, shortfall, support_polygon
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 
@@ -273,12 +273,14 @@ def _of_the_walk(series: Series) -> Iterator[Violation]:
 
 
 def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
-    """Yield the violations in physics: fall, tilt of the sole, centre of pressure."""
+    """Yield the violations in physics: fall, way, tilt of the sole, centre of pressure."""
     low = of.height < FALLEN * of.height[0]
     if low.any():
         tick = int(np.argmax(low))
         text = f"the robot has fallen: its pelvis is {1e3 * of.height[tick]:.0f} mm high"
         yield _broken(series, "fallen", tick, float(of.height[tick]), float(FALLEN * of.height[0]), text)
+    if text := shortfall(of.way, of.commanded):
+        yield Violation("way", "", float(series.time[-1]), of.way, WAY * of.commanded, text)
     tick = int(np.nanargmax(of.tilt))
     if of.tilt[tick] > TILT:
         text = f"the support sole is tilted by {np.degrees(of.tilt[tick]):.2f} degrees"
@@ -446,7 +448,8 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
     steps, duration = len(landed), float(series.time[-1] - series.time[0])
     out: dict[str, Any] = {
         "steps": steps,
-        "way": float(np.linalg.norm(np.diff(stands[:, :2], axis=0), axis=1).sum()),
+        "way": of.way,
+        "commanded_way": of.commanded,
         "displacement": [float(x) for x in stands[-1, :2] - stands[0, :2]],
         "turned": float(stands[-1, 2] - stands[0, 2]),
         "seconds_per_step": _seconds_per_step(series, landed),

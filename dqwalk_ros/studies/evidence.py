@@ -14,6 +14,7 @@ import msgspec
 
 from dqwalk_ros import report
 from dqwalk_ros.config import Config, find_share, load, overlaid, put_on
+from dqwalk_ros.report.metrics import shortfall
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.studies.plan import digest
@@ -86,6 +87,7 @@ class Outcome(msgspec.Struct, frozen=True):
     Attributes
     ----------
     stood : bool
+        Whether it was finished upright, and its soles went where its steps lead (`report.metrics.shortfall`).
     reason : str
         Why it did not stand, or what is not OK.
     ok : bool or None
@@ -163,8 +165,10 @@ def _evaluate(
         found = report.report(report.analyse(trace))
     except DqwalkError as error:
         return Outcome(False, str(error))
-    of, stood = found["physics"], trace.finished and not found["physics"]["fallen"]
-    why = "" if found["ok"] else "; ".join([*trace.notes, *(one["message"] for one in found["violations"])][:2])
+    of, stopped = found["physics"], shortfall(found["physics"]["way"], found["physics"]["commanded_way"])
+    stood = trace.finished and not of["fallen"] and not stopped
+    reasons = [*trace.notes, *filter(None, [stopped]), *(one["message"] for one in found["violations"])]
+    why = "" if found["ok"] else "; ".join([*dict.fromkeys(reasons)][:2])
     seconds = float(trace.time[-1] - trace.time[0])
     landing, speed = found["walk"]["landing_error"], of["way"] / seconds if seconds > 0.0 else None
     return Outcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed)

@@ -15,13 +15,15 @@ import msgspec
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.report.binding import limits_at
+from dqwalk_ros.report.metrics import commanded_way, middle, shortfall
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
 from dqwalk_ros.studies.plan import MAX_WALKS, digest
 from dqwalk_ros.studies.runner import Store, run
+from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
 
 __all__ = ["Cell", "Outcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
@@ -57,7 +59,7 @@ class Outcome(msgspec.Struct, frozen=True):
     Attributes
     ----------
     stood : bool
-        Whether the robot was upright at the end of the walk.
+        Whether the robot was upright at the end of the walk, and its soles went where its steps lead.
     time : float
         Time at which the walk ended [s].
     steps : int
@@ -120,7 +122,8 @@ def assumed(config: Config, latency_error: float = 0.0) -> dict[str, float]:
 
 def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
     """Simulate one combination in physics, until the walk ends or the robot falls."""
-    time, steps, number, swings, tilt, load, joint, reached = 0.0, 0, -1, False, 0.0, 0.0, "", Counter[str]()
+    time, tilt, load, joint, reached, last = 0.0, 0.0, 0.0, "", Counter[str](), None
+    landed, stands = list[Phase](), list[Array]()
     parameters = {name: value for name, value in values.items() if name != LATENCY_ERROR}
     try:
         varied = config.updated(parameters)
@@ -140,13 +143,18 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
                 before = truth.q
             if (problem := controller.problem) is not None and controller.phase.kind is not PhaseKind.STANCE:
                 reached.update(limits_at(command.velocity, problem.lower, problem.upper, fastest, model))
-            if controller.phase_index != number:
-                steps += swings
-                number, swings = controller.phase_index, controller.phase.kind is PhaseKind.SINGLE_SUPPORT
+            if (phase := controller.phase) is not last or controller.finished:
+                double = phase.kind is not PhaseKind.SINGLE_SUPPORT
+                if last is not None and last.kind is PhaseKind.SINGLE_SUPPORT and double:
+                    landed.append(last)
+                if truth is not None and double:
+                    stands.append(middle(truth.soles, model)[:2])
+                last = phase
     except DqwalkError as error:
-        return Outcome(False, time, steps, str(error), tilt, load or None, joint, reached)
-    reason = "" if controller.finished else f"fell in {controller.phase.name}"
-    return Outcome(not reason, time, steps, reason, tilt, load or None, joint, reached)
+        return Outcome(False, time, len(landed), str(error), tilt, load or None, joint, reached)
+    way = float(np.linalg.norm(np.diff(stands, axis=0), axis=1).sum())
+    reason = shortfall(way, commanded_way(landed)) if controller.finished else f"fell in {controller.phase.name}"
+    return Outcome(not reason, time, len(landed), reason, tilt, load or None, joint, reached)
 
 
 def walk_all(

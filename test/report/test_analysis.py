@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.figures import drawn, figure7, figure8, figure9, top_view
-from dqwalk_ros.report.metrics import hull_margin, pelvis_in_odom
+from dqwalk_ros.report.metrics import commanded_way, hull_margin, pelvis_in_odom, shortfall
 from dqwalk_ros.report.table import numbers
 from dqwalk_ros.simulation import PhysicsRecord
 
@@ -65,6 +66,19 @@ def test_series_match_the_phase_at_each_tick(trace, series):
             np.testing.assert_allclose(series.com[tick], kin.com, rtol=0, atol=1e-15)
             for name, value in span.phase.distances(kin.q).items():
                 assert (series.distances | series.residuals)[name][tick] == pytest.approx(value, abs=1e-14), name
+
+
+def test_the_commanded_way_is_that_of_the_middle_between_the_soles(trace):
+    """A first step of a length, whose foot begins beside the other one, then two of the double length."""
+    steps = []
+    for support, side in ((Foot.LEFT, -1.0), (Foot.RIGHT, 1.0), (Foot.LEFT, -1.0)):
+        kin = Kinematics(trace.model, np.zeros(trace.model.n), support)
+        target = DQ.from_pose([0.05, side * abs(kin.point(kin.swing)[1]), 0.0]).vec8()
+        steps.append(SimpleNamespace(model=trace.model, q_start=kin.q, base=support, swing_target=target))
+    assert commanded_way(steps) == pytest.approx(0.025 + 0.05 + 0.05, abs=1e-12)
+    assert "went 0.09 m, its steps lead 0.12 m" in shortfall(0.09, commanded_way(steps))
+    assert not shortfall(0.11, commanded_way(steps))
+    assert not shortfall(0.0, commanded_way([]))
 
 
 def test_distances_are_nan_outside_their_phase(series):

@@ -10,8 +10,8 @@ import pytest
 
 from dqwalk_ros import cli
 from dqwalk_ros.cli.evidence import table
-from dqwalk_ros.studies import evidence
-from dqwalk_ros.studies.evidence import Outcome, bounds, points, read
+from dqwalk_ros.studies import evidence, robustness
+from dqwalk_ros.studies.evidence import Outcome, Row, bounds, points, read
 from dqwalk_ros.support.errors import ConfigError
 
 
@@ -81,3 +81,14 @@ def test_a_sample_is_walked_in_both_engines(tmp_path: Path, capsys: pytest.Captu
     pytest.importorskip("pydrake", reason="there is no wheel of Drake for this machine")
     assert cli.main(["evidence", "--sample", "1", "--jobs", "2", "--out", str(tmp_path)]) == 0
     print(capsys.readouterr().out)
+
+
+@pytest.mark.long
+def test_a_walk_that_is_stopped_by_a_step_does_not_count_as_stood() -> None:
+    row = Row("a step", "poppy_dynamic", params=["rough"], set={"physics.rise": 0.03, "gait.steps": 13})
+    found = evidence._evaluate({"": row.made()}, {"": 0.0}, 0, {"row": "", "engine": "physics", "seed": 1})
+    assert not found.stood
+    assert found.reason.startswith("the robot was stopped: its soles went 0.2")
+    cell = robustness.walk(row.made(), 0, {})
+    assert not cell.stood
+    assert cell.reason.startswith("the robot was stopped: its soles went 0.2")
