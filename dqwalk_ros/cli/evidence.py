@@ -28,6 +28,7 @@ a file of rows is a list such as
       plant: physics                  # or poppy_as_built
       set: {gait.steps: 20}
       params: [rough]                 # as of --params
+      cmd_vel: ["0.1,0,0.25,8"]       # as of --cmd-vel
       seeds: 20                       # walks with sensors.seed 1 to 20; first: 101 for 101 to 120
     - {name: pushes of 0.50 N s, config: poppy_dynamic, push: 0.5}   # 8 directions, 2 feet, 4 moments of a step
 

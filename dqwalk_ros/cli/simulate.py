@@ -58,17 +58,13 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
 
             feed = stack.enter_context(Feed(config, port))
             print(f"{feed.url} shows the walk", flush=True)
-        begin = body.state.time
+        begin, steer = body.state.time, legs.steering(controller) if course else None
 
         def before_step(time: float) -> None:
             if feed is not None:
                 feed.offer(body.state, controller)
-            if course:
-                asked = legs.at(time)
-                if asked is None:
-                    controller.stop()
-                else:
-                    controller.steer(*asked)
+            if steer is not None:
+                steer(time)
 
         def progress(done: float, text: str) -> None:
             bar((body.state.time - begin) / legs.duration if course else done, text)

@@ -331,6 +331,9 @@ class PhysicsConfig:
     contact_stiffness: float = parameter(
         0.0, "stiffness of the contact at a corner of a sole; 0: about 3e5, in MuJoCo by contact_time", "N/m", 0.0, 1e8
     )
+    cone: Literal["pyramidal", "elliptic"] = parameter(
+        "pyramidal", "cone of friction in MuJoCo; in Drake always elliptic"
+    )
     slope: float = parameter(0.0, "inclination of the floor, positive: it rises ahead", "rad", -0.5, 0.5)
     slope_side: float = parameter(
         0.0, "lateral inclination of the floor, positive: it rises to the left", "rad", -0.5, 0.5

@@ -226,6 +226,8 @@ def build(
     try:
         spec = robot_spec(model, friction=c.friction, contact_time=c.contact_time, held=c.held)
         spec.option.timestep = c.timestep
+        if c.cone == "elliptic":
+            spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.gravity = gravity_of(level_of(config))
         for body in spec.bodies:
             body.mass *= c.mass_scale

@@ -16,12 +16,13 @@ from dqwalk_ros import report
 from dqwalk_ros.config import Config, find_share, load, overlaid, put_on
 from dqwalk_ros.report.metrics import shortfall
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import make_controller, make_plant, simulate, walk_type
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, listed
+from dqwalk_ros.walks.course import Course
 
 __all__ = ["Outcome", "Row", "bounds", "collect", "points", "read"]
 
@@ -47,6 +48,8 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Names of sets of parameters in the file.
     set : dict
         Parameters, as ``--set``, with precedence over those sets.
+    cmd_vel : list of str
+        Legs of a steered walk, as ``--cmd-vel``.
     seeds : int
         Number of walks, with ``sensors.seed`` `first`, `first` + 1, ...
     first : int
@@ -60,6 +63,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     params: list[str] = []
     use: list[str] = []
     set: dict[str, Any] = {}
+    cmd_vel: list[str] = []
     seeds: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 20
     first: Annotated[int, msgspec.Meta(ge=0, le=10**6)] = 1
     push: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
@@ -70,10 +74,14 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises
         ------
         ConfigError
-            If a parameter is invalid.
+            If a parameter or a leg of the course is invalid.
         """
+        Course.parse(self.cmd_vel)
         made = put_on(overlaid(load(self.config), self.plant), map(Path, self.params))
-        return made.updated(self.set, source=self.name)
+        made = made.updated(({"gait.steps": 0} if self.cmd_vel else {}) | self.set, source=self.name)
+        if self.cmd_vel and walk_type(made).phases(made):
+            raise ConfigError(f"{self.name}: cmd_vel steers a standing or dynamic walk with gait.steps: 0")
+        return made
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -148,18 +156,18 @@ def points(rows: Mapping[str, Row], engines: Sequence[str], sample: int = 0) -> 
     return out
 
 
-def _evaluate(
-    configs: Mapping[str, Config], pushes: Mapping[str, float], index: int, point: Mapping[str, Any]
-) -> Outcome:
+def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int, point: Mapping[str, Any]) -> Outcome:
     """Simulate one walk; the index is not used."""
-    config, impulse = configs[point["row"]].updated({"plant.name": point["engine"]}), pushes[point["row"]]
+    row, config = rows[point["row"]], configs[point["row"]].updated({"plant.name": point["engine"]})
     try:
-        if impulse:
-            why = pushed(config, Push(point["foot"], point["direction"], impulse, part=point["part"]))
+        if row.push:
+            why = pushed(config, Push(point["foot"], point["direction"], row.push, part=point["part"]))
             return Outcome(not why, why)
         config = config.updated({"sensors.seed": point["seed"]})
         model = load_model(config.robot)
-        trace = simulate(make_controller(config, model), make_plant(point["engine"], config, model))
+        controller, course = make_controller(config, model), Course.parse(row.cmd_vel)
+        steer = course.steering(controller) if row.cmd_vel else None
+        trace = simulate(controller, make_plant(point["engine"], config, model), before_step=steer)
         if trace.interrupted:
             raise KeyboardInterrupt  # an interrupted walk has no outcome
         found = report.report(report.analyse(trace))
@@ -181,11 +189,11 @@ def collect(
 
     With `force` earlier results are discarded; other options and errors are those of `runner.run`.
     """
-    configs, pushes = {name: row.made() for name, row in rows.items()}, {name: row.push for name, row in rows.items()}
-    every = points(rows, engines, sample)
-    key = digest(next(iter(configs.values())), every, [config.flat() for config in configs.values()], pushes)
+    configs, every = {name: row.made() for name, row in rows.items()}, points(rows, engines, sample)
+    walks = [(row.push, row.cmd_vel, configs[name].flat()) for name, row in rows.items()]
+    key = digest(next(iter(configs.values())), every, walks)
     store = Store(out / "walks.jsonl", key, every, Outcome, force=force)
-    done = run(functools.partial(_evaluate, configs, pushes), store, **options)
+    done = run(functools.partial(_evaluate, rows, configs), store, **options)
     return [(every[k], outcome) for k, outcome in done.items()]
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self
 
+from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.support.errors import ConfigError
 
@@ -84,6 +85,21 @@ class Course:
                 return leg.forward, leg.left, leg.turn
             time -= leg.duration
         return None
+
+    def steering(self, controller: VelocityController) -> Callable[[float], None]:
+        """Return what steers a walk at a time since its start [s] and stops it after the last leg.
+
+        It is the ``before_step`` of `simulation.simulate`.
+        """
+
+        def steer(time: float) -> None:
+            velocity = self.at(time)
+            if velocity is None:
+                controller.stop()
+            else:
+                controller.steer(*velocity)
+
+        return steer
 
 
 def speeds(walk: Walk) -> tuple[float, float, float]:

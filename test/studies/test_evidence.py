@@ -62,9 +62,9 @@ def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> Non
 
 def test_an_interrupted_walk_is_no_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     name, row = next((name, row) for name, row in read("evidence").items() if not row.push)
-    monkeypatch.setattr(evidence, "simulate", lambda *_: SimpleNamespace(interrupted=True))
+    monkeypatch.setattr(evidence, "simulate", lambda *_, **__: SimpleNamespace(interrupted=True))
     with pytest.raises(KeyboardInterrupt):
-        evidence._evaluate({name: row.made()}, {name: 0.0}, 0, {"row": name, "engine": "physics", "seed": 1})
+        evidence._evaluate({name: row}, {name: row.made()}, 0, {"row": name, "engine": "physics", "seed": 1})
 
 
 def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,8 +72,19 @@ def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: py
     file.write_text("rows: [{name: a, config: poppy, use: [nosie]}]\nsets: {noise: {}}\n")
     with pytest.raises(ConfigError, match="'a' uses nosie; the sets are noise"):
         read(str(file))
+    file.write_text("rows: [{name: a, config: poppy, cmd_vel: ['0.01,0,0,5'], set: {gait.steps: 4}}]\n")
+    with pytest.raises(ConfigError, match="a: cmd_vel steers a standing or dynamic walk"):
+        read(str(file))
     assert cli.main(["evidence", str(tmp_path / "none.yaml")]) == 2
     assert "none.yaml" in capsys.readouterr().err
+
+
+def test_a_row_with_cmd_vel_is_steered_and_ends_after_its_course() -> None:
+    row = evidence.Row("a", "poppy_dynamic", cmd_vel=["0.05,0,0,3"], set={"qp.solver": "daqp"})
+    outcome = evidence._evaluate({"a": row}, {"a": row.made()}, 0, {"row": "a", "engine": "physics", "seed": 1})
+    assert outcome.ok, outcome.reason
+    assert outcome.speed is not None
+    assert 0.005 < outcome.speed < 0.05
 
 
 @pytest.mark.long

@@ -14,7 +14,6 @@ from walks import values
 
 import dqwalk_ros as dq
 from dqwalk_ros.config import find_share, overlaid
-from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Observer
 from dqwalk_ros.paper.foot import Foot
@@ -28,7 +27,6 @@ from dqwalk_ros.studies import robustness
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.course import Course
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
 from dqwalk_ros.walks.dynamic.pendulum import Pendulum, angular_momentum, swing_inertia
@@ -662,51 +660,6 @@ NOISY = overlaid(CONFIG, "physics").updated(
 FAST = NOISY.updated(
     {"gait.step_length": 0.126, "gait.most_length": 0.126, "dynamic.quicken": 0.08, "dynamic.aim_inside": 0.0}
 )
-
-
-@pytest.mark.long
-@pytest.mark.timeout(1800)
-def test_every_walk_of_5_m_at_0_30_m_s_is_ok() -> None:
-    for seed in range(1, 11):
-        config = FAST.updated({"gait.steps": 44, "sensors.seed": seed})
-        trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
-        full = [record.time for record in trace.phases if record.kind is PhaseKind.SINGLE_SUPPORT][4:41]
-        assert np.diff(full).mean() == pytest.approx(0.126 / 0.3, abs=config.dt)
-        found = report(analyse(trace))
-        physics = found["physics"]
-        print(f"\nseed {seed}: {physics['way']:.2f} m, {100.0 * physics['cop_inside']:.2f} % inside, {physics['load']}")
-        assert found["ok"], found["violations"]
-        assert physics["way"] > 5.0
-
-
-@pytest.mark.long
-@pytest.mark.timeout(3600)
-def test_cmd_vel_walks_fast_turns_stops_and_walks_back() -> None:
-    """What limits is printed: the largest part of a torque-speed line, and the limits of joints."""
-    course = Course.parse(["0.3,0,0,6", "0.1,0,0.25,5", "0,0,0,3", "-0.1,0,0,5"])
-    good = 0
-    for seed in range(1, 21):
-        config = FAST.updated({"gait.steps": 0, "sensors.seed": seed})
-        controller = make_controller(config, MODEL)
-
-        def steer(time: float, controller: VelocityController = controller) -> None:
-            velocity = course.at(time)
-            if velocity is None:
-                controller.stop()
-            else:
-                controller.steer(*velocity)
-
-        trace = simulate(controller, make_plant("physics", config, MODEL), before_step=steer, max_time=40.0)
-        found = report(analyse(trace))
-        physics, walk = found["physics"], found["walk"]
-        good += trace.finished and found["ok"]
-        print(
-            f"\nseed {seed}: {'OK' if found['ok'] else found['violations'] + list(trace.notes)}, "
-            f"tilt {math.degrees(physics['tilt']['value']):.2f} degrees, landing {1e3 * walk['landing_error']:.1f} mm, "
-            f"inside {100.0 * physics['cop_inside']:.2f} %, {physics['load']}, {walk['limits_reached']}"
-        )
-    print(f"\n{good} of 20")
-    assert good == 20
 
 
 def test_a_push_is_confirmed_for_a_time_not_for_a_number_of_states() -> None:
