@@ -41,6 +41,7 @@ __all__ = [
     "Scene",
     "View",
     "beginning",
+    "bodies_of",
     "shapes_of",
     "tightest",
 ]  # fmt: skip
@@ -108,6 +109,11 @@ def shapes_of(config: Config, model: RobotModel) -> tuple[BodyShape, ...]:
         if (frame := model.frames.get(name)) is not None
     ]
     return (*plain, *meshes)
+
+
+def bodies_of(kin: Kinematics, x_base: Array) -> Array:
+    """Return the poses (B, 8) of all bodies, given that of the base sole (8,)."""
+    return (DQ(x_base) * DQ(np.array([kin.pose(link) for link in kin.model.links]))).vec8()
 
 
 class NamedRegion(NamedTuple):
@@ -262,7 +268,7 @@ class Scene:
         return View(
             moment=moment,
             level=found.level,
-            bodies=np.array([compose(x, kin.pose(link)) for link in model.links]),
+            bodies=bodies_of(kin, x),
             soles={foot: compose(x, kin.pose(model.soles[foot].frame)) for foot in Foot},
             com=DQ(x).transform_point(kin.com),
             ground=float(DQ(x).transform_point(np.zeros(3))[2]),

@@ -9,9 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.html.page import bad, figures, heading, origin_table, replay, table, write_page
-from dqwalk_ros.report.html.replay import FRAMES, walk_data
+from dqwalk_ros.report.html.replay import frames_of, walk_data
+from dqwalk_ros.report.scene import bodies_of
 from dqwalk_ros.whole_body.demands import Demand
 from dqwalk_ros.whole_body.figures import drawn
 from dqwalk_ros.whole_body.preview import Stepping
@@ -83,8 +86,10 @@ def _checks(found: Sequence[Demand]) -> str:
 
 def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
     """Return plain data for `replay.js`, as `replay_data` does for a walk of phases."""
-    model, count = walked.model, len(walked.time)
-    rows = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int))
+    model, rows = walked.model, frames_of(walked.time)
+    kins = [Kinematics(model, q, Foot.LEFT) for q in walked.q[rows]]
+    soles = DQ(walked.x_base[rows]) * DQ(np.array([kin.pose(model.root) for kin in kins])).conj()
+    bodies = np.array([bodies_of(kin, sole) for kin, sole in zip(kins, soles.vec8(), strict=True)])
     stepping = Stepping.of(walked.config)
     places, began = {Foot.LEFT: walked.left, Foot.RIGHT: walked.right}, float(walked.time[0])
     stands = [(0.0, foot, places[foot][0]) for foot in Foot]  # the initial stance
@@ -106,7 +111,7 @@ def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
             exact = np.where(np.abs(values) < _ROUNDING, 0.0, values)
             curves[name] = unit, scale * np.where(known, exact, np.nan)
     return walk_data(
-        walked.config, model, walked.time[rows] - began, walked.q[rows], walked.x_base[rows], walked.com[rows],
+        walked.config, model, walked.time[rows] - began, bodies, walked.com[rows],
         [(when, foot, place + model.soles[foot].corners) for when, foot, place in stands],
         phases, curves, [""] * len(rows), [(_HAND, walked.hand[rows]), (_TARGET, walked.target[rows])],
     )  # fmt: skip

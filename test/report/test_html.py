@@ -17,7 +17,6 @@ from recorded import repeated, rewrite, short_config, short_walk
 from dqwalk_ros import cli, load, load_model, make_controller, report, simulate
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
@@ -79,24 +78,22 @@ def test_the_page_contains_the_report(page):
 
 
 def test_the_replay_matches_the_kinematics():
-    """The soles of the replay, computed from its tree as in `replay.js`, match the kinematics."""
+    """In every frame, the bodies and the corners of the soles are where the kinematics have them."""
     trace = short_walk()
-    data = replay_data(report.analyse(trace))
-    t, q, root = (np.frombuffer(b64decode(data[k]), "<f4") for k in ("t", "q", "root"))
-    q, root = q.reshape(len(t), -1), root.reshape(len(t), 7)
+    data, model = replay_data(report.analyse(trace)), trace.model
+    t, bodies, corners = (np.frombuffer(b64decode(data[k]), "<f4") for k in ("t", "bodies", "corners"))
+    bodies, corners = bodies.reshape(len(t), -1, 7), corners.reshape(len(t), 2, 4, 3)
+    assert ((bodies[1:, :, 3:] * bodies[:-1, :, 3:]).sum(axis=-1) > 0.9).all()  # so that they can be interpolated
     for row in np.linspace(0, len(t) - 1, 25).astype(int):
         tick = int(np.argmin(np.abs(trace.time - trace.time[0] - t[row])))
-        poses = [DQ.from_pose(root[row, :3], root[row, 3:])]
-        for body in data["bodies"][1:]:
-            turned = DQ.rotation_about(q[row, body["joint"]], body["axis"])
-            poses.append(poses[body["parent"]] * DQ.from_pose(body["p"], body["r"]) * turned)
         record = [r for r in trace.phases if r.start <= tick][-1]
-        kin = Kinematics(trace.model, trace.q[tick], record.base)
-        for foot in Foot:
-            sole = trace.model.soles[foot]
-            shown = poses[data["soles"][foot.value]["b"]].transform_point(data["soles"][foot.value]["corners"][0])
-            expected = DQ(record.x_odom_base).transform_point(kin.point(sole.frame, sole.corners[0]))
-            np.testing.assert_allclose(shown, expected, atol=2e-5)
+        kin, x = Kinematics(model, trace.q[tick], record.base), DQ(record.x_odom_base)
+        for shown, link in zip(bodies[row], model.links, strict=True):
+            away = DQ.from_pose(shown[:3], shown[3:]).conj() * x * DQ(kin.pose(link))
+            assert np.abs(np.append(away.translation(), away.rotation_vector())).max() < 1e-5, link
+        for shown, sole in zip(corners[row], model.soles.values(), strict=True):
+            expected = [x.transform_point(kin.point(sole.frame, corner)) for corner in sole.corners]
+            np.testing.assert_allclose(shown, expected, atol=1e-5)
 
 
 def test_the_page_shows_the_origin_of_the_walk_and_of_the_report(path, tmp_path, one_figure):

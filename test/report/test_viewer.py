@@ -23,7 +23,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
-from dqwalk_ros.report.html.replay import robot_data
+from dqwalk_ros.report.html.replay import shape_data
 from dqwalk_ros.report.scene import Moments, Scene, beginning, shapes_of
 from dqwalk_ros.report.viewer.page import HOST, Page
 from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
@@ -94,8 +94,7 @@ def test_meshes_are_shown(trace, tmp_path):
     (mesh,) = (shape for shape in shapes_of(config, load_model(config.robot)) if shape.kind == "mesh")
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices - [0.0, 0.0, 0.1], axis=1), 0.06, atol=1e-6)
     assert 10_000 < len(mesh.faces) < 60_000
-    (drawn,) = (shape for shape in robot_data(config, load_model(config.robot))["shapes"] if shape["k"] == "mesh")
-    assert len(b64decode(drawn["f"])) == 4 * mesh.faces.size
+    assert len(b64decode(shape_data(mesh)["f"])) == 4 * mesh.faces.size
 
 
 def test_views_match_the_walk(trace):

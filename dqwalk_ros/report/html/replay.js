@@ -3,21 +3,11 @@
 (() => {
   const buffer = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
   const floats = (text) => new Float32Array(buffer(text));
-  const qmul = (a, b) => [
-    a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-    a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-    a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-    a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]];
-  const turn = (r, v) => {
-    const [w, x, y, z] = r, t = [2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])];
-    return [v[0] + w * t[0] + y * t[2] - z * t[1], v[1] + w * t[1] + z * t[0] - x * t[2], v[2] + w * t[2] + x * t[1] - y * t[0]];
-  };
-  const at = (pose, v) => { const u = turn(pose.r, v); return [u[0] + pose.p[0], u[1] + pose.p[1], u[2] + pose.p[2]]; };
-  const joined = (a, b) => ({ p: at(a, b.p), r: qmul(a.r, b.r) });
   const sub = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const unit = (a) => { const n = Math.hypot(...a) || 1; return [a[0] / n, a[1] / n, a[2] / n]; };
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const HERE = { p: [0, 0, 0], r: [1, 0, 0, 0] };  // no motion
 
   // ---- meshes: positions and normals, as triangles
   const box = () => {
@@ -68,10 +58,10 @@
       const build = (type, text) => { const s = gl.createShader(type); gl.shaderSource(s, text); gl.compileShader(s); return s; };
       const program = this.program = gl.createProgram();
       gl.attachShader(program, build(gl.VERTEX_SHADER, `
-        attribute vec3 p; attribute vec3 n; uniform mat4 view; uniform vec4 r; uniform vec3 o; uniform vec3 s;
+        attribute vec3 p; attribute vec3 n; uniform mat4 view; uniform vec4 r, rs; uniform vec3 o, os, s;
         varying vec3 normal; varying vec3 place;
-        vec3 turn(vec3 v) { vec3 t = 2.0 * cross(r.yzw, v); return v + r.x * t + cross(r.yzw, t); }
-        void main() { normal = turn(n / s); place = turn(p * s) + o; gl_Position = view * vec4(place, 1.0); }`));
+        vec3 turn(vec4 q, vec3 v) { vec3 t = 2.0 * cross(q.yzw, v); return v + q.x * t + cross(q.yzw, t); }
+        void main() { normal = turn(r, turn(rs, n / s)); place = turn(r, turn(rs, p * s) + os) + o; gl_Position = view * vec4(place, 1.0); }`));
       gl.attachShader(program, build(gl.FRAGMENT_SHADER, `
         precision mediump float; varying vec3 normal; varying vec3 place; uniform vec4 color; uniform float lit; uniform vec3 eye; uniform float far;
         void main() {
@@ -80,7 +70,7 @@
           float fog = lit > 0.5 ? 0.0 : clamp((distance(place, eye) - far) / (1.25 * far), 0.0, 1.0) * step(color.a, 0.99);
           gl_FragColor = vec4(mix(color.rgb * shade, vec3(1.0), fog), color.a * (1.0 - fog)); }`));
       gl.linkProgram(program); gl.useProgram(program);
-      this.u = {}; for (const k of ["view", "r", "o", "s", "color", "lit", "eye", "far"]) this.u[k] = gl.getUniformLocation(program, k);
+      this.u = {}; for (const k of ["view", "r", "o", "rs", "os", "s", "color", "lit", "eye", "far"]) this.u[k] = gl.getUniformLocation(program, k);
       this.mesh = {};
       const meshes = walk.shapes.filter((s) => s.k === "mesh");
       meshes.forEach((s, i) => { s.k = `mesh${i}`; });
@@ -115,9 +105,12 @@
       m[14] += 2 * z * n / (n - z);
       this.gl.uniformMatrix4fv(this.u.view, false, m); this.gl.uniform3fv(this.u.eye, eye); this.gl.uniform1f(this.u.far, d); this.gl.viewport(0, 0, w, h);
     }
-    solid(kind, pose, size, color) {
+    place(pose, own) {  // a body, and what is drawn in its frame
+      const gl = this.gl; gl.uniform4fv(this.u.r, pose.r); gl.uniform3fv(this.u.o, pose.p); gl.uniform4fv(this.u.rs, own.r); gl.uniform3fv(this.u.os, own.p);
+    }
+    solid(kind, pose, size, color, own = HERE) {
       const gl = this.gl, m = this.mesh[kind]; gl.bindBuffer(gl.ARRAY_BUFFER, m.b); this.attributes(24);
-      gl.uniform4fv(this.u.r, pose.r); gl.uniform3fv(this.u.o, pose.p); gl.uniform3fv(this.u.s, size);
+      this.place(pose, own); gl.uniform3fv(this.u.s, size);
       gl.uniform4fv(this.u.color, color); gl.uniform1f(this.u.lit, 1); gl.drawArrays(gl.TRIANGLES, 0, m.n);
     }
     attributes(stride) {
@@ -127,7 +120,7 @@
     }
     flat(mode, points, color) {
       const gl = this.gl; gl.bindBuffer(gl.ARRAY_BUFFER, this.lines); gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(points.flat()), gl.STREAM_DRAW); this.attributes(12);
-      gl.uniform4fv(this.u.r, [1, 0, 0, 0]); gl.uniform3fv(this.u.o, [0, 0, 0]); gl.uniform3fv(this.u.s, [1, 1, 1]);
+      this.place(HERE, HERE); gl.uniform3fv(this.u.s, [1, 1, 1]);
       gl.uniform4fv(this.u.color, color); gl.uniform1f(this.u.lit, 0); gl.drawArrays(mode, 0, points.length);
     }
     ribbon(points, width, color) {
@@ -141,8 +134,8 @@
     draw(t) {
       const gl = this.gl; if (!gl) return;
       const w = this.walk, now = w.state(t), ground = now.ground;
-      if (!this.away) this.away = 2.9 * Math.max(now.top - ground, 0.2);
-      const com = now.com, middle = [com[0], com[1], ground + 0.5 * (now.top - ground)];
+      if (!this.away) this.away = 2.9 * Math.max(w.height, 0.2);
+      const com = now.com, middle = [com[0], com[1], ground + 0.5 * w.height];
       gl.clearColor(0.985, 0.988, 0.992, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); this.camera(middle);
       const grid = [], cell = 0.05, cx = Math.round(com[0] / cell), cy = Math.round(com[1] / cell), N = 50;
       for (let i = -N; i <= N; i++) grid.push([(cx + i) * cell, (cy - N) * cell, ground - 0.002], [(cx + i) * cell, (cy + N) * cell, ground - 0.002], [(cx - N) * cell, (cy + i) * cell, ground - 0.002], [(cx + N) * cell, (cy + i) * cell, ground - 0.002]);
@@ -154,20 +147,20 @@
       this.ribbon(w.way(t).map((c) => [c[0], c[1], ground + 0.002]), 0.0013, red);
       for (const s of w.shapes) {
         const size = s.k === "cylinder" ? [s.s[0], s.s[0], s.s[1]] : s.k === "sphere" ? [s.s[0], s.s[0], s.s[0]] : s.s;
-        this.solid(s.k, joined(now.bodies[s.b], s), size, s.c);
+        this.solid(s.k, now.body(s.b), size, s.c, s);
       }
-      const id = [1, 0, 0, 0];
-      this.solid("sphere", { p: com, r: id }, [0.011, 0.011, 0.011], red);
-      for (const point of w.points) { const p = w.place(point.v, t); if (!p.some(Number.isNaN)) this.solid("sphere", { p, r: id }, [0.022, 0.022, 0.022], [...point.color, 1]); }
-      this.solid("cylinder", { p: [com[0], com[1], (com[2] + ground) / 2], r: id }, [0.001, 0.001, com[2] - ground], red);
-      this.solid("cylinder", { p: [com[0], com[1], ground + 0.002], r: id }, [0.008, 0.008, 0.002], red);
+      const at = (p) => ({ ...HERE, p });
+      this.solid("sphere", at(com), [0.011, 0.011, 0.011], red);
+      for (const point of w.points) { const p = w.place(point.v, t); if (!p.some(Number.isNaN)) this.solid("sphere", at(p), [0.022, 0.022, 0.022], [...point.color, 1]); }
+      this.solid("cylinder", at([com[0], com[1], (com[2] + ground) / 2]), [0.001, 0.001, com[2] - ground], red);
+      this.solid("cylinder", at([com[0], com[1], ground + 0.002]), [0.008, 0.008, 0.002], red);
     }
   }
 
   class Walk {
     constructor(d) {
       Object.assign(this, d);
-      for (const k of ["t", "q", "root", "com"]) this[k] = floats(d[k]);
+      for (const k of ["t", "bodies", "corners", "com"]) this[k] = floats(d[k]);
       this.curves = d.curves.map((c) => ({ ...c, v: floats(c.v) }));
       this.points = d.points.map((p) => ({ ...p, v: floats(p.v) }));
       this.tightAt = Uint8Array.from(atob(d.tight.at), (c) => c.charCodeAt(0));
@@ -180,19 +173,12 @@
     state(t) {
       const i = this.row(t), j = Math.min(i + 1, this.t.length - 1), span = this.t[j] - this.t[i];
       const f = span > 0 ? Math.min(1, Math.max(0, (t - this.t[i]) / span)) : 0;
-      const mix = (a, w, k) => (1 - f) * a[i * w + k] + f * a[j * w + k];
-      const bodies = [], r = [3, 4, 5, 6].map((k) => mix(this.root, 7, k)), norm = Math.hypot(...r);
-      bodies.push({ p: [0, 1, 2].map((k) => mix(this.root, 7, k)), r: r.map((v) => v / norm) });
-      for (let b = 1; b < this.bodies.length; b++) {
-        const body = this.bodies[b], q = mix(this.q, this.n, body.joint) / 2, s = Math.sin(q);
-        bodies.push(joined(joined(bodies[body.parent], body), { p: [0, 0, 0], r: [Math.cos(q), ...body.axis.map((v) => s * v)] }));
-      }
-      const com = [0, 1, 2].map((k) => mix(this.com, 3, k)), phase = this.phase(t), corners = {};
-      for (const foot of ["left", "right"]) corners[foot] = this.soles[foot].corners.map((c) => at(bodies[this.soles[foot].b], c));
-      const feet = phase.double ? [...corners.left, ...corners.right] : corners[phase.base];
-      const ground = corners[phase.base].reduce((a, c) => a + c[2] / 4, 0);
-      const drawn = this.shapes.map((s) => joined(bodies[s.b], s)); // a body's frame may be far below its shapes
-      return { bodies, com, ground, hull: hullOf(feet), phase, top: Math.max(...[...bodies, ...drawn].map((x) => x.p[2])) };
+      const mix = (a, k) => { const w = a.length / this.t.length; return (1 - f) * a[i * w + k] + f * a[j * w + k]; };
+      const mixed = (a, k, n) => Array.from({ length: n }, (_, c) => mix(a, k + c));
+      const body = (b) => { const r = mixed(this.bodies, 7 * b + 3, 4), norm = Math.hypot(...r); return { p: mixed(this.bodies, 7 * b, 3), r: r.map((v) => v / norm) }; };
+      const sole = (foot) => [0, 3, 6, 9].map((c) => mixed(this.corners, (foot === "left" ? 0 : 12) + c, 3));
+      const phase = this.phase(t), base = sole(phase.base), feet = phase.double ? [...sole("left"), ...sole("right")] : base;
+      return { body, com: mixed(this.com, 0, 3), ground: base.reduce((a, c) => a + c[2] / 4, 0), hull: hullOf(feet), phase };
     }
   }
   const hullOf = (points) => {
