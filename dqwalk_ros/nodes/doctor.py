@@ -32,6 +32,7 @@ from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
@@ -48,8 +49,8 @@ _LEVEL, _HEIGHT = math.radians(4.0), 0.012
 """Largest angle and height between the soles of a robot that stands, computed from the joint angles [rad, m]."""
 _UPRIGHT = math.radians(10.0)
 """Largest inclination of the inertial sensor of a robot that stands [rad]."""
-_STILL, _GRAVITY = 0.05, 0.6
-"""Largest angular velocity at rest [rad/s], and largest deviation of the acceleration from 9.81 m/s^2."""
+_STILL, _PULL = 0.05, 0.6
+"""Largest angular velocity at rest [rad/s], and largest deviation of the acceleration from gravity [m/s^2]."""
 _DISCOVERY = 5.0
 """Time within which a publisher is discovered [s]."""
 _LATCHED = 20.0
@@ -305,8 +306,8 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
         raise Failed(f"{text}: {FallWatch.other_frame}")
     if lean > _UPRIGHT:
         raise Failed(f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is")
-    if np.linalg.norm(gyro) > _STILL or abs(pull - 9.81) > _GRAVITY:
-        raise Failed(f"{text}: at rest it must measure no rotation and 9.81 m/s^2; calibrate it, check its units")
+    if np.linalg.norm(gyro) > _STILL or abs(pull - GRAVITY) > _PULL:
+        raise Failed(f"{text}: at rest it measures {GRAVITY:.2f} m/s^2 and no rotation; calibrate it, check its units")
     return text
 
 

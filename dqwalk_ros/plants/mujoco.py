@@ -168,6 +168,7 @@ def robot_spec(model: RobotModel, *, friction: float, contact_time: float, held:
     spec.compiler.balanceinertia = True
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must be detected, not reset
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.gravity = [0.0, 0.0, -GRAVITY]
     if held:
         spec.body(model.root).pos = [0.0, 0.0, HELD]
     else:
@@ -289,7 +290,6 @@ def held_torques(model: RobotModel, q: Array, dq: Array, ddq: Array) -> tuple[Ar
     """
     spec = robot_spec(model, friction=0.0, contact_time=0.01, held=True)
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    spec.option.gravity = [0.0, 0.0, -GRAVITY]
     for name in model.joint_names:
         joint = spec.joint(name)
         joint.damping[0], joint.armature, joint.frictionloss = 0.0, 0.0, 0.0

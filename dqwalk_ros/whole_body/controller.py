@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
@@ -20,7 +21,7 @@ from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody, rotation_error
 from dqwalk_ros.whole_body.equations import Scene, hierarchy
 from dqwalk_ros.whole_body.hierarchy import Answer, Hierarchy, HierarchySolver
 from dqwalk_ros.whole_body.objectives import Distance, FrameOrientation, FramePosition, JointPosture, Objective
-from dqwalk_ros.whole_body.preview import GRAVITY, PointMass, Stepping, previewed
+from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed
 
 __all__ = ["BodyCommand", "BodyState", "BodyTick", "WholeBodyController"]
 

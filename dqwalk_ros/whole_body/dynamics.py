@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
@@ -106,6 +107,7 @@ class Multibody:
     def __init__(self, model: RobotModel, frames: Iterable[str] = ()) -> None:
         self.model = model
         self._pin = _build(model)
+        self._pin.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
         self._data = self._pin.createData()
         self.mass = float(pin.computeTotalMass(self._pin))
         missing = [name for name in frames if not self._pin.existFrame(name)]

@@ -17,13 +17,11 @@ from numpy.typing import ArrayLike
 
 from dqwalk_ros.config import Config, WholeBodyConfig
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["GRAVITY", "PointMass", "Preview", "Stepping", "Swing", "previewed", "swing_acceleration", "swing_jerk"]
+__all__ = ["PointMass", "Preview", "Stepping", "Swing", "previewed", "swing_acceleration", "swing_jerk"]
 
-
-GRAVITY = 9.81
-"""g [m/s^2], as in the models of pinocchio and MuJoCo."""
 _EPS = 1e-9
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.whole_body.controller import WholeBodyController
-from dqwalk_ros.whole_body.preview import GRAVITY
 
 __all__ = ["PAPER_TIMES", "SCENARIOS", "Scenario", "Timed", "fitted"]
 

@@ -17,6 +17,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
 from dqwalk_ros.support.errors import QPError
@@ -24,7 +25,7 @@ from dqwalk_ros.whole_body import BodyCommand, BodyState, Scenario, WholeBodyCon
 from dqwalk_ros.whole_body.dynamics import Multibody
 from dqwalk_ros.whole_body.experiments import make_body_plant
 from dqwalk_ros.whole_body.hierarchy import BALANCE, Hierarchy, HierarchySolver
-from dqwalk_ros.whole_body.preview import GRAVITY, PointMass
+from dqwalk_ros.whole_body.preview import PointMass
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
 __all__ = [
