@@ -20,7 +20,7 @@ from dqwalk_ros.config import Config, load, put_on
 from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of, sections_of
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import walk_type
-from dqwalk_ros.support.topics import TOPICS
+from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS
 from dqwalk_ros.walks.course import speeds
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -110,6 +110,27 @@ def test_topics_in_layouts_exist():
     rviz = yaml.safe_load((ROOT / "config/walk.rviz").read_text())["Visualization Manager"]["Displays"]
     topics = {d[key]["Value"] for d in rviz for key in ("Topic", "Description Topic") if key in d}
     assert {f"/{name}" for name in topics} <= known
+
+
+@pytest.mark.parametrize(
+    ("heading", "topics"), [("Topics", {**TOPICS, "phase_log": PHASE_LOG}), ("The whole-body walk", BODY_TOPICS)]
+)
+def test_the_documented_topics_are_those_of_the_nodes(heading, topics):
+    section = (ROOT / "docs/interfaces.md").read_text().partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+    rows = {}
+    for names, *row in re.findall(r"^\| (`.*?`) \| (.*?) \| (.*?) \| (\w+) \| .*\|$", section, re.M):
+        rows |= dict.fromkeys(re.findall(r"`(/?\w+)`", names), row)
+    policy = {one.text for one in ElementTree.parse(ROOT / "config/security/policy.xml").iter("topic")}
+    assert set(rows) <= policy | {"/clock"}  # which a test compares with the nodes
+    publishers = {"effort": "controller", "physics": "`physics`"}
+    for name, topic in topics.items():
+        types, by, quality = rows[topic.name]
+        package, _, kind = topic.type.split("/")
+        assert package in types, name
+        assert re.search(rf"\b{kind}\b", types), name
+        assert quality == ("latched" if topic.latched else "reliable"), name
+        if topics is not BODY_TOPICS or name not in TOPICS:
+            assert publishers.get(topic.source, topic.source) in by, name
 
 
 def test_the_first_page_of_the_website_links_to_every_node():
