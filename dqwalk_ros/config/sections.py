@@ -13,31 +13,11 @@ from dqwalk_ros.config.schema import Spec, Value, checked, parameter, specs_of
 from dqwalk_ros.support.errors import ConfigError
 
 __all__ = [
-    "CollisionConfig",
-    "Config",
-    "DspConfig",
-    "DynamicConfig",
-    "EstimationConfig",
-    "GaitConfig",
-    "JointsConfig",
-    "MonitorConfig",
-    "NodeConfig",
-    "OdometryConfig",
-    "OutputConfig",
-    "PelvisConfig",
-    "PhysicsConfig",
-    "PlantConfig",
-    "PoppyConfig",
-    "QpConfig",
-    "RobotConfig",
-    "SafetyConfig",
-    "SensorsConfig",
-    "ServoConfig",
-    "SspConfig",
-    "StandingConfig",
-    "TaskConfig",
-    "WholeBodyConfig",
-]
+    "CollisionConfig", "Config", "DspConfig", "DynamicConfig", "EstimationConfig", "GaitConfig", "JointsConfig",
+    "MonitorConfig", "NodeConfig", "OdometryConfig", "OutputConfig", "PelvisConfig", "PhysicsConfig", "PlantConfig",
+    "PoppyConfig", "QpConfig", "RobotConfig", "SafetyConfig", "SensorsConfig", "ServoConfig", "SspConfig",
+    "StandingConfig", "TaskConfig", "WholeBodyConfig",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
