@@ -69,7 +69,7 @@ setup(
         (f"share/{NAME}/config/motors", sorted(glob("config/motors/*.yaml"))),
         (f"share/{NAME}/config/security", sorted(glob("config/security/*.xml"))),
         (f"share/{NAME}/config/plants", sorted(glob("config/plants/*.yaml"))),
-        (f"share/{NAME}/config/grounds", sorted(glob("config/grounds/*.yaml"))),
+        (f"share/{NAME}/config/overlays", sorted(glob("config/overlays/*.yaml"))),
         (f"share/{NAME}/config/ros2_control", sorted(glob("config/ros2_control/*.yaml"))),
         (f"share/{NAME}/urdf", sorted(glob("urdf/*.urdf*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),

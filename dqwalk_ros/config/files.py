@@ -195,7 +195,7 @@ def is_foreign(name: str) -> bool:
 def put_on(config: Config, files: Iterable[pathlib.Path]) -> Config:
     """Return a configuration with the parameters of files applied, one after the other.
 
-    A name without folder and suffix is that of a file in ``config/grounds/``, unless there is a file of this name.
+    A name without folder and suffix is that of a file in ``config/overlays/``, unless there is a file of this name.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def put_on(config: Config, files: Iterable[pathlib.Path]) -> Config:
     for given in files:
         path = given
         if not path.is_file() and str(path) == path.stem:
-            path = find_share("config/grounds", f"{path}.yaml")
+            path = find_share("config/overlays", f"{path}.yaml")
         if not path.is_file():
             raise ConfigError(f"no parameter file '{path}'")
         config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)

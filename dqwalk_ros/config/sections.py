@@ -13,7 +13,7 @@ from dqwalk_ros.config.schema import Spec, Value, checked, parameter, specs_of
 from dqwalk_ros.support.errors import ConfigError
 
 __all__ = [
-    "CollisionConfig", "Config", "DspConfig", "DynamicConfig", "EstimationConfig", "GaitConfig", "JointsConfig",
+    "ArmsConfig", "CollisionConfig", "Config", "DspConfig", "DynamicConfig", "EstimationConfig", "GaitConfig", "JointsConfig",
     "MonitorConfig", "NodeConfig", "OdometryConfig", "OutputConfig", "PelvisConfig", "PhysicsConfig", "PlantConfig",
     "PoppyConfig", "QpConfig", "RobotConfig", "SafetyConfig", "SensorsConfig", "ServoConfig", "SspConfig",
     "StandingConfig", "TaskConfig", "WholeBodyConfig",
@@ -44,6 +44,9 @@ class RobotConfig:
         "kg",
         0.0,
         1e4,
+    )
+    payload: tuple[str, ...] = parameter(
+        (), "masses carried at the origins of links, in kg: LINK=MASS, such as l_hand=0.3; not part of robot.mass"
     )
     sole_center: Literal["link", "foot_com"] = parameter(
         "link",
@@ -240,6 +243,31 @@ class CollisionConfig:
     margin: float = parameter(0.005, "distance kept between the capsules; larger: safer", "m", 0.0, 0.5)
     eta: float = parameter(5.0, "rate of the distances; larger: faster approach", "1/s", 1e-3, 1e4)
     recovery: float = parameter(0.05, "largest speed at which a violation is corrected", "m/s", 1e-4, 1e3)
+
+
+@dataclass(frozen=True)
+class ArmsConfig:
+    """Arms that move beside a standing or dynamic walk, with less weight than it."""
+
+    joints: tuple[str, ...] = parameter((), "joints of the arms, which robot.lock must not name; '*' matches any text")
+    left_hand: str = parameter("", "link that left_hand_target moves; empty: none")
+    right_hand: str = parameter("", "link that right_hand_target moves; empty: none")
+    swing: tuple[str, ...] = parameter(
+        (), "JOINT=RADIANS per metre by which the left foot is ahead of the right one; '*' matches any text"
+    )
+    weight: float = parameter(0.05, "weight of the joints' angles; larger: kept more closely", "", 1e-6, 1e4)
+    rate: float = parameter(8.0, "rate at which joints and hands converge; larger: faster", "1/s", 0.01, 100.0)
+    hand_weight: float = parameter(2.0, "weight of a commanded hand; larger: kept more closely", "", 1e-6, 1e6)
+    lever: float = parameter(
+        0.0, "length that weights a hand's orientation; 0: only its position counts", "m/rad", 0.0, 10.0
+    )
+    joint_speed: float = parameter(
+        1.0, "largest speed at which an error of the joints is corrected", "rad/s", 0.01, 100.0
+    )
+    hand_speed: float = parameter(0.2, "largest speed at which an error of a hand is corrected", "m/s", 0.001, 10.0)
+    timeout: float = parameter(
+        0.0, "time after the last command from which on the posture is held again; 0: the command is", "s", 0.0, 1e4
+    )
 
 
 @dataclass(frozen=True)
@@ -569,6 +597,7 @@ class Config:
     dynamic: DynamicConfig = DynamicConfig()
     pelvis: PelvisConfig = PelvisConfig()
     joints: JointsConfig = JointsConfig()
+    arms: ArmsConfig = ArmsConfig()
     collision: CollisionConfig = CollisionConfig()
     qp: QpConfig = QpConfig()
     servo: ServoConfig = ServoConfig()

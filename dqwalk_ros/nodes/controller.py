@@ -21,6 +21,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode, Fields
+from dqwalk_ros.nodes.arms import ArmInput
 from dqwalk_ros.nodes.fall_watch import FallWatch
 from dqwalk_ros.nodes.footsteps import FootstepInput
 from dqwalk_ros.nodes.inertial_sensor import InertialSensor
@@ -36,6 +37,7 @@ from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.simulation import make_controller, walk_type, warm_up
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
+from dqwalk_ros.walks.stepping import SteppingWalk
 
 __all__ = ["Controller", "Mode"]
 
@@ -60,6 +62,9 @@ class Controller(AnsweringNode):
         imu                      sensor_msgs/Imu with plant.imu: roll and pitch, and angular velocity
         cmd_vel                  geometry_msgs/Twist, walk with gait.steps: 0: linear x, y, angular z
         footsteps                nav_msgs/Path of soles in odom or in a sole, standing walk with gait.steps: 0
+        arm_trajectory           trajectory_msgs/JointTrajectory of joints of arms.joints
+        left_hand_target, right_hand_target
+                                 geometry_msgs/PoseStamped in odom, or in a link of the trunk
         plant_ready              std_msgs/Bool, latched: the walk waits while this is false
 
     Publishes::
@@ -86,8 +91,8 @@ class Controller(AnsweringNode):
         ~/start ~/pause ~/reset  std_srvs/Trigger
         ~/stop                   std_srvs/Trigger: a standing or dynamic walk puts its feet together and ends
 
-    Sections of the schema: dt, robot, gait, task, dsp, ssp, standing, dynamic, pelvis, joints, collision, qp, servo,
-    plant, estimation, monitor, safety, node, odometry.
+    Sections of the schema: dt, robot, gait, task, dsp, ssp, standing, dynamic, pelvis, joints, arms, collision, qp,
+    servo, plant, estimation, monitor, safety, node, odometry.
 
     Example::
 
@@ -127,6 +132,8 @@ class Controller(AnsweringNode):
         steered = not walk_type(config).phases(config)
         self._steering = Steering(self, self._walk) if steered else None
         self._footsteps = FootstepInput(self, self._walk, self._odometry) if steered else None
+        moves_arms = isinstance(self._walk.walk, SteppingWalk) and self._walk.walk.arms is not None
+        self._arms = ArmInput(self, self._walk, self._odometry) if moves_arms else None
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/pause", self._pause)
         self.create_service(Trigger, "~/stop", self._stop)
@@ -375,6 +382,8 @@ class Controller(AnsweringNode):
             values |= {"compute time": self._compute_time, "active rows": ", ".join(walk.active)}
         if self._steering is not None:
             values |= self._steering.values()
+        if self._arms is not None:
+            values |= self._arms.values()
         if math.isfinite(self._drive.delay):
             values |= {"delay beyond told": self._drive.delay, "stiffness of told": self._drive.stiffness}
         warning = "; ".join(filter(None, [*self._drive.warnings(), self._gate.inertial.warning]))

@@ -50,6 +50,11 @@ class Odometry:
     """Publishes the pose of the base in odom, its velocity, and the covariances of both.
 
     A new walk starts from the last pose of the one before, so the pose in odom does not jump.
+
+    Attributes
+    ----------
+    base_sole : DQ
+        Pose in odom of the base sole of the last state.
     """
 
     def __init__(self, node: WalkNode, model: RobotModel) -> None:
@@ -71,7 +76,7 @@ class Odometry:
         elif base not in links and (send := _sender(node, "/tf_static", ros.latched())) is not None:
             send([_transform(0, base, model.root, DQ(1.0))])
         self._window: deque[tuple[int, DQ]] = deque()  # stamps [ns] and poses of the base
-        self._origin, self._last = DQ(1.0), DQ(1.0)
+        self._origin, self._last, self.base_sole = DQ(1.0), DQ(1.0), DQ(1.0)
         self._restarted = False
         self._steps = 0
         self._estimator = BaseEstimator(node.config, model)
@@ -130,6 +135,7 @@ class Odometry:
         x_link = walk_base * DQ(kin.pose(self._link))
         if self._restarted:
             self._origin, self._restarted = self._last * x_link.conj(), False
+        self.base_sole = self._origin * walk_base
         x = self._last = self._origin * x_link
         self._window.append((stamp, x))
         while len(self._window) > 2 and stamp - self._window[1][0] >= self._config.window * 1e9:

@@ -72,8 +72,8 @@ class Recorder(WalkNode):
         joint_states, joint_velocity_commands, phase, phase_start, com_target, swing_target, support_foot, base_pose,
         walk_config, walk_origin, robot_description, /diagnostics; those of the node physics, if it runs;
         of the whole body: joint_effort_commands, base_twist, left_wrench, right_wrench, hand_target_applied,
-        push_applied; and, if they are published: cmd_vel, footsteps, footstep_status, odom, push,
-        hand_target, joint_goals, /tf, /tf_static, /rosout
+        push_applied; and, if they are published: cmd_vel, footsteps, footstep_status, arm_trajectory,
+        left_hand_target, right_hand_target, odom, push, hand_target, joint_goals, /tf, /tf_static, /rosout
 
     Writes::
 

@@ -159,13 +159,14 @@ class Walk(ABC):
         rule: Rule,
         joint_return: float = np.inf,
     ) -> Phase:
-        """Return the phase that begins at `kin`, with the posture task, joint limits, and bodies that are kept apart.
+        """Return the phase that begins at `kin`, with posture and further tasks, joint limits, and bodies kept apart.
 
         `joint_return` is the largest speed at which a joint beyond its limit is required to return [rad/s].
         """
         config = self.config
         if config.task.posture_weight > 0.0:
             tasks = (*tasks, Posture(name="posture", weight=config.task.posture_weight, q_ref=self.posture))
+        tasks = (*tasks, *self.beside(kin.base))
         if config.collision.pairs:
             inequalities = (*inequalities, *capsules_in(config, self.model))
         return Phase(
@@ -183,6 +184,10 @@ class Walk(ABC):
             limits=joint_limits(config, self.model, joint_return),
             rule=rule,
         )
+
+    def beside(self, base: Foot) -> tuple[Task, ...]:
+        """Return further tasks of every phase on the sole `base`, by default none."""
+        return ()
 
     # ------------------------------------------------------------------ update for every state
 

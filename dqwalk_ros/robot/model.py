@@ -23,6 +23,7 @@ from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
+from dqwalk_ros.robot.urdf_file import LARGEST
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, ModelError
 
@@ -283,8 +284,12 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     urdf.weld(_locked(urdf, config, published))
     if not sum(link.inertial.mass for link in urdf.links.values()) > 0.0:
         raise ModelError(f"{urdf.source}: the robot has no mass, so it has no centre of mass")
-    if config.mass > 0.0:
-        urdf.scale_mass(config.mass)
+    loads = _payload(config, urdf)
+    if not loads.keys() & urdf.links.keys():  # a `RobotModel.urdf` has them already
+        if config.mass > 0.0:
+            urdf.scale_mass(config.mass)
+        for name, (link, mass) in loads.items():
+            urdf.add_mass(name, link, mass)
     urdf.give_mass()
     feet = {foot: _sole_frame(urdf, config, foot) for foot in Foot}
     imu = config.imu or config.pelvis
@@ -314,6 +319,25 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
         urdf=urdf.text(),
         repairs=tuple(urdf.repairs),
     )
+
+
+def _payload(config: RobotConfig, urdf: Urdf) -> dict[str, tuple[str, float]]:
+    """Return the loads of ``robot.payload`` by the names of the links that represent them: link and mass [kg]."""
+    loads = {}
+    for entry in config.payload:
+        link, _, word = (part.strip() for part in entry.partition("="))
+        try:
+            mass = float(word)
+        except ValueError:
+            mass = math.nan
+        if not 0.0 < mass < LARGEST:
+            raise ModelError(f"robot.payload has '{entry}'; an entry is LINK=MASS in kg")
+        if link not in urdf.links:
+            raise ModelError(f"{urdf.source}: robot.payload names the link '{link}', which is not there or was dropped")
+        if f"{link}_payload" in loads:
+            raise ModelError(f"robot.payload names the link '{link}' twice")
+        loads[f"{link}_payload"] = link, mass
+    return loads
 
 
 def _sole_frame(urdf: Urdf, config: RobotConfig, foot: Foot) -> str:

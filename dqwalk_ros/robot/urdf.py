@@ -42,7 +42,7 @@ _DECIMALS = 14
 _LEAST_MASS = 1e-3
 """Mass assumed for a moving body without mass [kg]."""
 _GYRATION = 0.01
-"""Radius of gyration assumed for a body without a valid inertia [m]."""
+"""Radius of gyration assumed for a load, and for a body without a valid inertia [m]."""
 _LEAST_MOMENT = 1e-12
 """Least moment of inertia; physics engines treat a smaller one as zero [kg m^2]."""
 _TURN = 6.5
@@ -215,6 +215,11 @@ class Urdf:
         self.links[name] = yourdfpy.Link(name, _inertial())
         joint = f"{name}_joint"
         self.joints[joint] = yourdfpy.Joint(joint, "fixed", parent, name, _origin(pose))
+
+    def add_mass(self, name: str, parent: str, mass: float) -> None:
+        """Add a small body `name` of a mass [kg] at the origin of the link `parent`."""
+        self.add_frame(name, parent, DQ(1.0))
+        self.links[name].inertial = _inertial(mass, np.eye(3) * mass * _GYRATION**2)
 
     def scale_mass(self, total: float) -> None:
         """Multiply masses and inertias by the same factor, such that the mass of all links is `total` [kg]."""

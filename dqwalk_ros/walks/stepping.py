@@ -12,10 +12,13 @@ from dqwalk_ros.paper.constraints import FrameHeld, PointsOverPlane
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Plane
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import Next, PhaseKind
+from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
+from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.walks.arms import Arms
 from dqwalk_ros.walks.footprint import flat
 from dqwalk_ros.walks.footsteps import Footsteps
 
@@ -34,11 +37,14 @@ class SteppingWalk(Walk):
     Attributes
     ----------
     footsteps : Footsteps
+    arms : Arms or None
+        None if ``arms.joints`` is empty.
     """
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
         self.footsteps = Footsteps(config, model, self.posture)
+        self.arms = Arms(config, model, self.posture) if config.arms.joints else None
         self._twist = (0.0, 0.0, 0.0)
         self._stopping = False
         self._together = False
@@ -55,6 +61,16 @@ class SteppingWalk(Walk):
     def posture(self) -> Array:
         """Joint angles of ``standing.posture``, shape (n,) [rad]."""
         return self.model.posture(self.config.standing.posture)
+
+    def beside(self, base: Foot) -> tuple[Task, ...]:
+        """Return the tasks of the arms."""
+        return () if self.arms is None else self.arms.tasks(base)
+
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+        """Set the tasks of the arms for a state; see `Walk.observe`."""
+        if self.arms is not None:
+            self.arms.update(phase, kin, state)
+        return None
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
         """Set the velocity of a steered walk, scaled down if a step would exceed its limits; see `Walk.steer`.

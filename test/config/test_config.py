@@ -219,5 +219,5 @@ def test_a_ground_is_given_by_its_name() -> None:
     rough = put_on(walk, [Path("rough")])
     assert rough.servo.window < walk.servo.window
     assert rough.standing.swing_duration < walk.standing.swing_duration
-    with pytest.raises(ConfigError, match="config/grounds/"):
+    with pytest.raises(ConfigError, match="config/overlays/"):
         put_on(walk, [Path("swamp")])

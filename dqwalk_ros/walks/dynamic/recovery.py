@@ -97,6 +97,7 @@ class RecoveringWalk(StandingWalk):
             If ``gait.recover`` is not the configuration of a dynamic walk.
         """
         self.steps = Steps(_steps_config(self.config), self.model)
+        self.steps.arms = self.arms
         self.steps.prepare()
 
     def tune(self, config: Config) -> None:
@@ -106,6 +107,7 @@ class RecoveringWalk(StandingWalk):
 
     def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
         """Let the steps take over from a single support in which xi is beyond the sole."""
+        super().observe(phase, kin, state)
         if state.up is None or not self._in_time or phase.kind is not PhaseKind.SINGLE_SUPPORT:
             return None
         beyond = self._beyond_sole(kin, state)

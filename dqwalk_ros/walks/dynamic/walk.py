@@ -295,6 +295,7 @@ class DynamicWalk(SteppingWalk):
 
     def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
         """Update the targets of the phase, adjust the step, and compute the desired ground reaction force."""
+        super().observe(phase, kin, state)
         omega, up, now = self.pendulum.omega, kin.up, self._now
         dt = state.time - self._time
         self._time = state.time

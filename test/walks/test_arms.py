@@ -1,0 +1,299 @@
+"""Arms beside a walk: they swing, follow trajectories and poses of hands, and leave the walk as it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import walks
+
+from dqwalk_ros.config import Config, load, put_on
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import make_controller, make_walk
+from dqwalk_ros.support.errors import ConfigError, ModelError, StateError
+from dqwalk_ros.walks.arms import Arms, JointPath
+
+QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "node.robot_description": False}
+CONFIG = put_on(load("poppy"), [Path("arms")]).updated({"gait.steps": 0, "gait.recover": "", **QUICK})
+MODEL = load_model(CONFIG.robot)
+ELBOW = MODEL.joint_names.index("l_elbow_y")
+IN_FRONT = DQ.from_pose([0.15, 0.1, -0.05])
+
+
+class Robot:
+    """A controller and joints that follow it exactly."""
+
+    def __init__(self, config: Config = CONFIG) -> None:
+        self.controller, self.arms = make_controller(config, MODEL), None
+        self.plant = KinematicPlant(MODEL, make_walk(config, MODEL).posture)
+        self.arms: Arms = self.controller.walk.arms  # type: ignore[attr-defined]
+
+    def run(self, seconds: float, each: Callable[[], None] = lambda: None) -> None:
+        for _ in range(round(seconds / CONFIG.dt)):
+            self.plant.step(self.controller.step(self.plant.state, CONFIG.dt), CONFIG.dt)
+            each()
+
+    @property
+    def q(self) -> Any:
+        return self.plant.state.q
+
+    def hand(self, frame: str) -> Any:
+        """Position of the left hand in a frame, at the last state."""
+        kin = self.controller.kin
+        return DQ(kin.pose(frame)).conj().transform_point(kin.point("l_hand"))
+
+
+def test_arms_are_locked_unless_they_are_freed() -> None:
+    walk = make_walk(load("poppy_dynamic"), load_model(load("poppy_dynamic").robot))
+    assert (walk.arms, walk.beside(Foot.LEFT)) == (None, ())  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("lever", [0.0, 0.1])
+def test_gradients_of_the_tasks_are_those_of_differences(lever: float) -> None:
+    config = CONFIG.updated({"arms.lever": lever})
+    arms, rng = Arms(config, MODEL, MODEL.posture(config.standing.posture)), np.random.default_rng(1)
+    arms.reach("left", IN_FRONT * DQ.from_roll_pitch_yaw([0.3, -0.4, 0.5]), "chest")
+    q = 0.5 * (MODEL.q_min + MODEL.q_max) + 0.2 * rng.standard_normal(MODEL.n)
+    for hand in arms.hands.values():
+        hand.set(Kinematics(MODEL, q, Foot.LEFT), None, lever)
+    for base in Foot:
+        for task in arms.tasks(base):
+            _, J = walks.values(task, Kinematics(MODEL, q, base))
+            for k in range(MODEL.n):
+                step = 1e-6 * np.eye(MODEL.n)[k]
+                ahead, back = (walks.values(task, Kinematics(MODEL, q + s, base))[0] for s in (step, -step))
+                np.testing.assert_allclose(J[:, k], (ahead - back) / 2e-6, atol=1e-8)
+
+
+def test_arms_swing_against_the_legs_and_have_no_part_in_the_steps() -> None:
+    robot, swung = Robot(), []
+    other = Robot(CONFIG.updated({"arms.swing": ()}))
+    for one in (robot, other):
+        one.run(0.1)
+        one.controller.steer(0.05, 0.0, 0.0)
+    left, right = (MODEL.joint_names.index(f"{side}_shoulder_y") for side in "lr")
+
+    def note() -> None:
+        kin = robot.controller.kin
+        swung.append((robot.q[left], robot.q[right], float((kin.point("l_sole") - kin.point("r_sole"))[0])))
+
+    robot.run(2.4, note)
+    other.run(2.4)
+    q_left, q_right, ahead = np.array(swung).T
+    assert np.ptp(q_left) > 0.06
+    assert np.corrcoef(q_left, ahead)[0, 1] > 0.95
+    assert np.corrcoef(q_right, ahead)[0, 1] < -0.95
+    landed = [one.controller.soles() for one in (robot, other)]
+    for foot in Foot:
+        np.testing.assert_allclose(landed[0][foot], landed[1][foot], atol=1e-4)
+
+
+def test_a_trajectory_is_followed_and_its_end_is_held() -> None:
+    robot = Robot()
+    robot.run(0.1)
+    robot.controller.steer(0.05, 0.0, 0.0)
+    robot.arms.follow(["l_elbow_y"], [0.5, 1.0], [[-0.8], [-1.2]], [[-1.0], [0.0]])
+    seen: list[float] = []
+    robot.run(1.5, lambda: seen.append(float(robot.q[ELBOW])))
+    path = JointPath(np.array([0.0, 0.5, 1.0]), np.array([0.0, -0.8, -1.2]), np.array([0.0, -1.0, 0.0]))
+    wanted = [path.at((k + 1) * CONFIG.dt)[0] for k in range(len(seen))]
+    np.testing.assert_allclose(seen, wanted, atol=0.02)
+    robot.arms.follow(["l_elbow_y"], [], [])
+    robot.run(2.5)
+    assert abs(robot.q[ELBOW]) < 0.01
+
+
+def test_a_path_is_differentiated_by_its_velocity() -> None:
+    times, rng = np.array([0.0, 0.4, 1.0]), np.random.default_rng(2)
+    for velocities in (None, rng.standard_normal(3)):
+        path = JointPath(times, rng.standard_normal(3), velocities)
+        for t in (0.1, 0.3, 0.5, 0.9):
+            assert path.at(t)[1] == pytest.approx((path.at(t + 1e-6)[0] - path.at(t - 1e-6)[0]) / 2e-6, abs=1e-6)
+        for k, t in enumerate(times):
+            assert path.at(t)[0] == pytest.approx(path.angles[k])
+        assert (path.at(-1.0)[1], path.at(2.0)) == (0.0, (path.angles[-1], 0.0))
+
+
+@pytest.mark.parametrize(
+    ("names", "times", "angles", "velocities", "reason"),
+    [
+        ([], [1.0], [[]], None, "names no joint"),
+        (["l_knee_y"], [1.0], [[0.1]], None, "l_knee_y is no joint of the arms; they are l_shoulder_y"),
+        (["l_elbow_y"] * 2, [1.0], [[0.0, 0.0]], None, "names a joint twice"),
+        (["l_elbow_y"], [1.0, 2.0], [[-1.0]], None, "positions for 2 points of 1 joints"),
+        (["l_elbow_y"], [1.0, 1.0], [[-1.0], [-1.1]], None, "not increasing"),
+        (["l_elbow_y"], [math.nan], [[-1.0]], None, "not finite"),
+        (["l_elbow_y"], [1.0], [[math.nan]], None, "point 1 of l_elbow_y is nan rad"),
+        (["l_elbow_y"], [1.0, 2.0], [[-1.0], [0.5]], None, "point 2 of l_elbow_y is 0.5 rad; its limits are -2.583"),
+        (["l_elbow_y"], [1.0], [[-1.0]], [[-9.0]], "point 1 of l_elbow_y has -9 rad/s; its limit is 3"),
+        (["l_elbow_y"], [1.0, 1.1], [[-1.0], [-2.0]], None, "l_elbow_y needs 10 rad/s to point 2"),
+    ],
+)
+def test_invalid_trajectories_are_refused_by_name(
+    names: list[str], times: list[float], angles: Any, velocities: Any, reason: str
+) -> None:
+    arms = Arms(CONFIG, MODEL, np.zeros(MODEL.n))
+    with pytest.raises(StateError, match=reason):
+        arms.follow(names, times, angles, velocities)
+
+
+def test_a_trajectory_of_another_clock_is_refused() -> None:
+    with pytest.raises(StateError, match="after the last state"):
+        Arms(CONFIG, MODEL, np.zeros(MODEL.n)).follow(["l_elbow_y"], [1.0], [[-1.0]], begin=1.7e9)
+
+
+def test_a_hand_follows_a_pose_in_the_trunk_while_the_robot_walks() -> None:
+    robot = Robot()
+    robot.run(0.1)
+    robot.controller.steer(0.05, 0.0, 0.0)
+    robot.arms.reach("left", IN_FRONT, "chest")
+    before, fastest = robot.hand("chest"), []
+
+    def note() -> None:
+        nonlocal before
+        now = robot.hand("chest")
+        fastest.append(np.linalg.norm(now - before) / CONFIG.dt)
+        before = now
+
+    robot.run(2.5, note)
+    np.testing.assert_allclose(robot.hand("chest"), IN_FRONT.translation(), atol=2e-3)
+    assert max(fastest) < 1.3 * CONFIG.arms.hand_speed
+
+
+def test_a_hand_stays_at_a_place_on_the_ground_while_the_robot_steps_on() -> None:
+    robot = Robot()
+    robot.run(0.1)
+    kin, base = robot.controller.kin, DQ(robot.controller.x_odom_base)
+    place = DQ(kin.pose("chest")) * DQ.from_pose([0.19, 0.1, -0.05])
+    robot.arms.reach("left", place)
+    world = (base * place).translation()
+    robot.controller.steer(0.05, 0.0, 0.0)
+    phases = set()
+    robot.run(2.4, lambda: phases.add(robot.controller.phase_index))
+    assert len(phases) > 3
+    now = DQ(robot.controller.x_odom_base).transform_point(robot.controller.kin.point("l_hand"))
+    np.testing.assert_allclose(now, world, atol=5e-3)
+
+
+def test_the_newest_command_of_an_arm_counts_until_its_timeout() -> None:
+    robot = Robot(CONFIG.updated({"arms.timeout": 0.5}))
+    robot.run(0.1)
+    robot.arms.follow(["l_elbow_y", "r_elbow_y"], [0.2], [[-0.4, -0.4]])
+    robot.run(0.1)
+    robot.arms.reach("left", IN_FRONT, "chest")
+    robot.run(0.4)
+    assert robot.q[MODEL.joint_names.index("r_elbow_y")] == pytest.approx(-0.4, abs=0.01)
+    assert robot.arms.hands["left"].pose is not None
+    robot.run(3.0)
+    assert robot.arms.hands["left"].pose is None
+    np.testing.assert_allclose(robot.q[[MODEL.joint_names.index(name) for name in robot.arms.names]], 0.0, atol=0.03)
+    robot.arms.reach("left", IN_FRONT, "chest")
+    robot.arms.follow(["l_elbow_y"], [1.0], [[-1.0]])
+    assert robot.arms.hands["left"].pose is None
+
+
+@pytest.mark.parametrize("frame", ["l_sole", "map"])
+def test_poses_in_other_links_are_refused(frame: str) -> None:
+    with pytest.raises(StateError, match=rf"in '{frame}', which is not fixed to 'chest'"):
+        Arms(CONFIG, MODEL, np.zeros(MODEL.n)).reach("left", IN_FRONT, frame)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"arms.joints": ("l_tail",)}, "arms.joints names 'l_tail'"),
+        ({"arms.left_hand": "l_foot"}, "arms.left_hand is 'l_foot', which no joint of arms.joints moves"),
+        ({"arms.left_hand": "claw"}, "arms.left_hand is 'claw', and the robot has no such link"),
+        ({"arms.swing": ("l_knee_y=1",)}, "arms.swing names l_knee_y, which is not in arms.joints"),
+    ],
+)
+def test_a_wrong_section_is_refused_by_name(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        make_walk(CONFIG.updated(changes), MODEL)
+
+
+# ---------------------------------------------------------------------- a load
+
+
+def test_a_load_is_part_of_the_model_of_its_description_and_of_the_engine() -> None:
+    import mujoco
+
+    from dqwalk_ros.plants.mujoco import build
+    from dqwalk_ros.robot.model import parse_model
+
+    config = CONFIG.updated({"robot.payload": ("l_hand=0.3",), "robot.mass": 3.0})
+    model = load_model(config.robot)
+    assert model.mass == pytest.approx(3.3)
+    again = parse_model(model.urdf, config.robot)
+    assert again.mass == pytest.approx(3.3)
+    q = model.posture(["l_elbow_y=-1.2", "l_shoulder_x=0.4"])
+    kin, plain = (
+        Kinematics(one, q, Foot.LEFT) for one in (model, load_model(config.updated({"robot.payload": ()}).robot))
+    )
+    np.testing.assert_allclose(3.3 * kin.com, 3.0 * plain.com + 0.3 * kin.point("l_hand"), atol=1e-12)
+    mj = build(config, model)
+    data = mujoco.MjData(mj)
+    for name, angle in zip(model.joint_names, q, strict=True):
+        data.qpos[mj.joint(name).qposadr[0]] = angle
+    mujoco.mj_forward(mj, data)
+    sole = mj.body("l_sole").id
+    found = data.xmat[sole].reshape(3, 3).T @ (data.subtree_com[1] - data.xpos[sole])
+    np.testing.assert_allclose(found, kin.com, atol=1e-9)
+
+
+@pytest.mark.parametrize("entry", ["l_hand", "l_hand=heavy", "l_hand=-1", "claw=1"])
+def test_a_wrong_load_is_refused(entry: str) -> None:
+    with pytest.raises(ModelError, match=r"robot\.payload"):
+        load_model(CONFIG.updated({"robot.payload": (entry,)}).robot)
+
+
+# ---------------------------------------------------------------------- topics
+
+
+def test_the_topics_command_the_arms_and_name_what_they_refuse(make: Any) -> None:
+    from geometry_msgs.msg import PoseStamped
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    from dqwalk_ros.nodes import messages as ros
+
+    node, robot = make("controller", CONFIG), KinematicPlant(MODEL, make_walk(CONFIG, MODEL).posture)
+    node.exchange(robot, MODEL, 1.0)
+    arms = node.node._walk.walk.arms
+
+    def aim(frame: str, x: DQ, **changes: float) -> None:
+        msg = PoseStamped(pose=ros.pose_fields(x.vec8()))
+        msg.header.frame_id = frame
+        for name, value in changes.items():
+            setattr(msg.pose.orientation, name, value)
+        node.send("left_hand_target", msg)
+
+    aim("chest", IN_FRONT)
+    assert not arms.hands["left"].fixed
+    kin = node.node._walk.kin
+    aim("odom", node.node._odometry.base_sole * DQ(kin.pose("l_hand")))
+    np.testing.assert_allclose(arms.hands["left"].pose.translation(), kin.point("l_hand"), atol=1e-12)
+    points = [JointTrajectoryPoint(positions=[-0.1], velocities=v) for v in ([], [0.0])]
+    for k, point in enumerate(points):
+        point.time_from_start.sec = k + 1
+    node.send("arm_trajectory", JointTrajectory(joint_names=["l_elbow_y"], points=points[:1]))
+    assert arms.hands["left"].pose is None
+    for bad, reason in (
+        (lambda: aim("map", IN_FRONT), "left_hand_target rejected (1 so far): the pose of the left hand is in 'map'"),
+        (lambda: aim("", IN_FRONT), "no frame_id"),
+        (lambda: aim("chest", IN_FRONT, w=7.0), "no unit quaternion"),
+        (lambda: node.send("arm_trajectory", JointTrajectory(joint_names=["l_elbow_y"], points=points)),
+         "arm_trajectory rejected (1 so far): point 2 has 1 positions and 1 velocities"),
+        (lambda: node.send("arm_trajectory", JointTrajectory(joint_names=["l_knee_y"], points=points[:1])),
+         "l_knee_y is no joint of the arms"),
+    ):  # fmt: skip
+        bad()
+        assert reason in node.log
+    assert node.node._arms.values() == {"left_hand_target rejected": 3, "arm_trajectory rejected": 2}
