@@ -385,7 +385,7 @@ class Controller(AnsweringNode):
         if self._arms is not None:
             values |= self._arms.values()
         if math.isfinite(self._drive.delay):
-            values |= {"delay beyond told": self._drive.delay, "stiffness of told": self._drive.stiffness}
+            values |= {"excess delay": self._drive.delay, "stiffness ratio": self._drive.stiffness}
         warning = "; ".join(filter(None, [*self._drive.warnings(), self._gate.inertial.warning]))
         return "WARN" if warning else "OK", warning or self._label, values
 

@@ -76,7 +76,7 @@ class EnginePlant(Plant):
         self._seat(q, root)
         self._upright = self._floor_normal()
         self._height = -math.inf if root is None else float(self._com[2])  # one that is held cannot fall
-        # without these torques the robot would tip backwards on soft servos before the first command
+        # the first goals include the torques against gravity: soft servos would let the robot tip backwards
         up = -gravity_of(self._level) / GRAVITY
         effort = np.zeros(model.n) if root is None else gravity_torques(Kinematics(model, q, Foot.LEFT, up), both=True)
         self._law.gate.use(q, 0.0)

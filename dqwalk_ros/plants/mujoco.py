@@ -42,7 +42,8 @@ class PhysicsPlant(EnginePlant):
         model = self.model
         self.mj = build(self.config, model, servos)
         self.data: Any = mujoco.MjData(self.mj)
-        self._qpos, self._qvel = self.data.qpos, self.data.qvel  # views, and so are these
+        # views into the data of the engine
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._xpos, self._xquat, self._xmat = self.data.xpos, self.data.xquat, self.data.xmat
         self._sensed, self._torque = self.data.sensordata, self.data.qfrc_actuator
         joints = [self.mj.joint(name) for name in model.joint_names]

@@ -171,11 +171,11 @@ class Servos:
         """
         out = cls.of(config, model)
         for joints, text in _entries("servo.assumed", config.servo.assumed, model):
-            told = _numbers(text)
+            given = _numbers(text)
             for name in ("stiffness", "backlash", "friction"):
-                getattr(out, name)[joints] = told.get(name, getattr(out, name)[joints])
-            if "damping" in told:
-                out.damping[joints], out.back_emf[joints] = 0.0, told["damping"] * out.stiffness[joints]
+                getattr(out, name)[joints] = given.get(name, getattr(out, name)[joints])
+            if "damping" in given:
+                out.damping[joints], out.back_emf[joints] = 0.0, given["damping"] * out.stiffness[joints]
         return out
 
     def load(self, effort: Array, velocity: Array) -> Array:

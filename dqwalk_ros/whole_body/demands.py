@@ -103,7 +103,7 @@ def checks(walked: WholeBodyTrace, without: Sequence[WholeBodyTrace] = ()) -> li
             found.append(Demand(f"least {text}", least, unit, ">= 0", least >= KEPT[key]))
     for what, column, most in (
         ("ticks that miss capturability (S14)", walked.residual, 1e-6),
-        ("ticks whose level 1 gave way", walked.violation, 0.0),
+        ("ticks in which level 1 was violated", walked.violation, 0.0),
     ):
         count = int((column > most).sum())
         found.append(Demand(what, count, "", "0", count == 0))

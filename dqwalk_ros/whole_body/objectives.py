@@ -38,7 +38,7 @@ class Objective(ABC):
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links the snapshot must carry."""
+        """Links whose pose the task needs."""
         return ()
 
     @abstractmethod
@@ -166,7 +166,7 @@ class Distance(ABC):
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Links the snapshot must carry."""
+        """Links whose pose the task needs."""
         return ()
 
     @abstractmethod

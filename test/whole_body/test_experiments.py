@@ -45,7 +45,7 @@ def test_satisfied_requirements_are_reported() -> None:
         ({"margins": "cop_margin"}, "least CoP to the edge of its rectangle"),
         ({"margins": "torque"}, "least torque to its limit"),
         ({"residual": None}, "ticks that miss capturability (S14)"),
-        ({"violation": None}, "ticks whose level 1 gave way"),
+        ({"violation": None}, "ticks in which level 1 was violated"),
         ({"note": "fell at 0.5 s"}, "stood for"),
     ],
 )
