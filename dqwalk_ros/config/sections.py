@@ -15,8 +15,8 @@ from dqwalk_ros.support.errors import ConfigError
 __all__ = [
     "ArmsConfig", "CollisionConfig", "Config", "DspConfig", "DynamicConfig", "EstimationConfig", "GaitConfig",
     "JointsConfig", "MonitorConfig", "NodeConfig", "OdometryConfig", "OutputConfig", "PelvisConfig", "PhysicsConfig",
-    "PlantConfig", "PoppyConfig", "QpConfig", "RobotConfig", "SafetyConfig", "SensorsConfig", "ServoConfig", "SspConfig",
-    "StandingConfig", "TaskConfig", "WholeBodyConfig",
+    "PlantConfig", "PoppyConfig", "QpConfig", "RobotConfig", "SafetyConfig", "SensorsConfig", "ServoConfig",
+    "SspConfig", "StandingConfig", "TaskConfig", "WholeBodyConfig",
 ]  # fmt: skip
 
 
