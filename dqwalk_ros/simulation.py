@@ -145,7 +145,7 @@ def warm_up(config: Config, model: RobotModel) -> None:
     measures an angular velocity, as after a push, so that it adjusts the step. A steered walk takes two steps.
     """
     with contextlib.suppress(DqwalkError):
-        config = config.updated({"gait.steps": config.gait.steps or 2})
+        config = config.updated({"gait.steps": config.gait.steps or 2, "gait.footsteps": ()})
         controller, plant = make_controller(config, model), KinematicPlant(model, make_walk(config, model).posture)
         if not config.plant.imu:
             controller.step(plant.state, config.dt)

@@ -86,9 +86,15 @@ class GaitConfig:
     most_length: float = parameter(0.05, "longest step that cmd_vel can command", "m", 0.0, 0.5, live=True)
     most_side: float = parameter(0.05, "longest lateral step that cmd_vel can command", "m", 0.0, 0.2, live=True)
     most_turn: float = parameter(0.1, "largest rotation per step that cmd_vel can command", "rad", 0.0, 0.8, live=True)
+    footsteps: tuple[str, ...] = parameter(
+        (),
+        "standing, dynamic: the steps of the walk, each AHEAD LEFT TURN UP of the body, but UP of the foot over the "
+        "other one [m, m, rad, m]; needs gait.steps: 0",
+    )
     footstep_tolerance: float = parameter(
         0.01,
-        "largest correction of a commanded footstep; larger: fewer are refused",
+        "largest correction of a commanded footstep, and height up to which soles count as level; larger: fewer are "
+        "refused",
         "m",
         0.0,
         0.1,

@@ -13,7 +13,7 @@
 `fall_watch`, `fall_cause` whether the robot has fallen, and why
 `answering`                base class of both controllers: state checks, stopping the robot
 `inputs`                   inertial sensor, joint commands and cmd_vel, checked on arrival
-`footsteps`                commanded footsteps (nav_msgs/Path) for a standing walk
+`footsteps`                commanded footsteps (nav_msgs/Path)
 `phases`                   publishes the phases of a walk; rebuilds them from the topics
 `markers`                  shapes for RViz and Foxglove
 `odometry`                 odom, base_pose and /tf

@@ -61,7 +61,7 @@ class Controller(AnsweringNode):
         joint_states             sensor_msgs/JointState [rad, rad/s], joints matched by name
         imu                      sensor_msgs/Imu with plant.imu: roll and pitch, and angular velocity
         cmd_vel                  geometry_msgs/Twist, walk with gait.steps: 0: linear x, y, angular z
-        footsteps                nav_msgs/Path of soles in odom or in a sole, standing walk with gait.steps: 0
+        footsteps                nav_msgs/Path of soles in odom or in a sole, walk with gait.steps: 0
         arm_trajectory           trajectory_msgs/JointTrajectory of joints of arms.joints
         left_hand_target, right_hand_target
                                  geometry_msgs/PoseStamped in odom, or in a link of the trunk

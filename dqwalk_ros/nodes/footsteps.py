@@ -1,4 +1,4 @@
-"""Commanded footsteps: a path of sole poses sets the next steps of a standing walk, or is refused with the reason.
+"""Commanded footsteps: a path of sole poses sets the next steps of a walk, or is refused with the reason.
 
 Path and status are topics instead of an action, because Jazzy has no action for footsteps, and a new one would need an
 interface package, which pip cannot install.
@@ -18,7 +18,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
-from dqwalk_ros.walks.standing.walk import StandingWalk
+from dqwalk_ros.walks.stepping import SteppingWalk
 
 __all__ = ["FootstepInput"]
 
@@ -31,12 +31,12 @@ class FootstepInput:
     """Input of the topic footsteps (nav_msgs/Path): sole poses to step on, feet alternating; an empty path cancels.
 
     The frame of the path is odom or a sole link, which is then the first support foot. A path is accepted in a stance
-    only. Each footstep is executed relative to the one before, so landing errors add up.
+    only. What a landing has missed is made up for by the next one.
 
     Parameters
     ----------
     controller : VelocityController
-        Of a standing walk with gait.steps: 0.
+        Of a standing or dynamic walk with gait.steps: 0.
     """
 
     def __init__(self, node: WalkNode, controller: VelocityController, odometry: Odometry) -> None:
@@ -47,8 +47,8 @@ class FootstepInput:
 
     def _on_path(self, msg: Path) -> None:
         walk = self._controller.walk
-        if not isinstance(walk, StandingWalk):  # a dynamic walk plans its own
-            self._publish_status("refused: only a standing walk (gait.style: standing) supports footsteps")
+        if not isinstance(walk, SteppingWalk):
+            self._publish_status("refused: only a standing or dynamic walk (gait.style) supports footsteps")
         elif not msg.poses:
             left, self._total = walk.placed, 0
             walk.place(Foot.LEFT, [])
@@ -95,13 +95,13 @@ class FootstepInput:
     def _side_error(self, support: Foot, x: DQ) -> float:
         """Return the lateral distance [m] of a footprint, given in the sole of `support`, from a step in place."""
         walk = self._controller.walk
-        assert isinstance(walk, StandingWalk)
+        assert isinstance(walk, SteppingWalk)
         return abs(float((x.translation() - DQ(walk.footsteps.beside(support)).translation())[1]))
 
     def show(self) -> None:
         """Publish the number of footsteps done; called at the beginning of each phase."""
         walk, phase = self._controller.walk, self._controller.phase
-        if not self._total or not isinstance(walk, StandingWalk):
+        if not self._total or not isinstance(walk, SteppingWalk):
             return
         done = self._total - walk.placed - (phase.kind is PhaseKind.SINGLE_SUPPORT)
         if phase.kind is PhaseKind.STANCE and done == self._total:

@@ -56,6 +56,7 @@ class Footprint:
         return out
 
 
-def flat(x: Array) -> Array:
-    """Return the pose (8,) with z = 0 and vertical z axis that is nearest to `x` (8,)."""
-    return Footprint.of(x).pose
+def flat(x: Array, height: float = 0.0) -> Array:
+    """Return the pose (8,) with a height z [m] and vertical z axis that is nearest to `x` (8,)."""
+    pose = Footprint.of(x).pose
+    return (DQ.from_pose([0.0, 0.0, height]) * DQ(pose)).vec8() if height else pose

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,10 +17,10 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.walks.footprint import Footprint, flat
 
-__all__ = ["Footsteps"]
+__all__ = ["Carried", "Footsteps", "level_of", "parsed"]
 
 
 _LEVER = 0.1
@@ -32,8 +33,52 @@ _STEPS, _STILL, _DAMPING = 60, 1e-5, 1e-4
 """Levenberg-Marquardt method: largest number of iterations, change at which it ends [m], and least damping."""
 
 
+_STAIR = 1.5
+"""Least height of a stair, relative to ``gait.footstep_tolerance``, up to which soles count as level."""
+
+
+def level_of(height: float, config: Config) -> float:
+    """Return the height of a sole over the other one [m], 0 if both count as level: rubble is no stair."""
+    return height if abs(height) > config.gait.footstep_tolerance else 0.0
+
+
+def parsed(texts: Sequence[str]) -> list[tuple[float, float, float, float]]:
+    """Return length, side [m], turn [rad] and height [m] of the steps in ``gait.footsteps``.
+
+    Raises
+    ------
+    ConfigError
+        If a text is not four numbers.
+    """
+    steps = []
+    for text in texts:
+        try:
+            length, side, turn, up = map(float, text.split())
+        except ValueError:
+            length = side = turn = up = math.nan
+        if not math.isfinite(length + side + turn + up):
+            raise ConfigError(f"gait.footsteps wants 'AHEAD LEFT TURN UP' [m, m, rad, m], not '{text[:80]}'")
+        steps.append((length, side, turn, up))
+    return steps
+
+
+class Carried(NamedTuple):
+    """Where a walk has its CoM when a foot lands and when the other one lifts off.
+
+    Attributes
+    ----------
+    share : tuple of float
+        Part of the way from the standing sole to the landing one, at both times.
+    height : float or None
+        Height over the lower sole [m]; None: any. With a height, soles may be at different heights.
+    """
+
+    share: tuple[float, float] = (0.0, 1.0)
+    height: float | None = None
+
+
 class Footsteps:
-    """Plans the footprints of a standing walk.
+    """Plans the footprints of a walk.
 
     Parameters
     ----------
@@ -41,10 +86,12 @@ class Footsteps:
     model : RobotModel
     posture : ndarray, shape (n,)
         The standing posture [rad].
+    carried : Carried, optional
+        By default as in a standing walk, over the sole that stands alone.
     """
 
-    def __init__(self, config: Config, model: RobotModel, posture: Array) -> None:
-        self._model = model
+    def __init__(self, config: Config, model: RobotModel, posture: Array, carried: Carried | None = None) -> None:
+        self._model, self._carried = model, carried or Carried()
         self._q_ref = posture
         half = 0.5j * config.gait.step_width
         if not half:  # the distance in the zero posture
@@ -79,7 +126,7 @@ class Footsteps:
         """
         found = []
         for support in Foot:
-            reached, _, stuck = self._nearest(support, self.wanted(support, length, 0.0, 0.0))
+            reached, _, stuck, _ = self._nearest(support, self.wanted(support, length, 0.0, 0.0))
             beside = self.wanted(support, 0.0, 0.0, 0.0)
             found.append((float((DQ(reached).translation() - DQ(beside).translation())[0]), stuck))
         return min(found)
@@ -92,6 +139,12 @@ class Footsteps:
         """Return `wanted` as a footprint, relative to that of `support`."""
         body = Footprint(complex(length, side) - self._place[support], cmath.rect(1.0, turn))
         return body.then(Footprint(self._place[support.other]))
+
+    def step_to(self, support: Foot, footprint: Array) -> Array:
+        """Return length, side [m] and turn [rad] of the `stride` to a footprint (8,), shape (3,)."""
+        to = Footprint.of(footprint)
+        moved = to.place - to.ahead * self._place[support.other] + self._place[support]
+        return np.array([moved.real, moved.imag, cmath.phase(to.ahead)])
 
     def planned(self, support: Foot, wanted: Sequence[Array]) -> list[Array]:
         """Return the reachable footprints (8,) nearest to commanded ones, each in the frame of its support sole.
@@ -122,11 +175,19 @@ class Footsteps:
         gait, s = self.config.gait, self.config.standing
         x = DQ(wanted)
         height, up = float(x.translation()[2]), float(x.rotation_matrix()[2, 2])
-        if abs(height) > gait.footstep_tolerance:
-            raise StateError(f"{1e3 * height:.0f} mm above the ground, where both soles stand")
+        if level_of(height, self.config) and self._carried.height is None:
+            raise StateError(
+                f"{1e3 * height:.0f} mm above the ground, where both soles stand; a dynamic walk has stairs"
+            )
+        if 1.0 < abs(height) / max(gait.footstep_tolerance, 1e-9) < _STAIR:
+            level = 1e3 * gait.footstep_tolerance
+            raise StateError(
+                f"{1e3 * height:.0f} mm above the other sole: up to {level:.0f} mm (gait.footstep_tolerance) is level, "
+                f"from {_STAIR * level:.0f} mm on a stair"
+            )
         if up < math.cos(gait.footstep_tolerance / s.lever):
             raise StateError(
-                f"it leans by {math.degrees(math.acos(min(max(up, -1.0), 1.0))):.1f} deg; the floor is level"
+                f"it leans by {math.degrees(math.acos(min(max(up, -1.0), 1.0))):.1f} deg; soles stand level"
             )
         off, ahead = x.translation() - DQ(self.wanted(support, 0.0, 0.0, 0.0)).translation(), x.rotation_matrix()[:, 0]
         turn = math.atan2(ahead[1], ahead[0])
@@ -144,9 +205,9 @@ class Footsteps:
             raise StateError(
                 f"{1e3 * gap:.0f} mm beside the other sole; standing.sole_gap is {1e3 * s.sole_gap:.0f} mm"
             )
-        reached, _, stuck = self._nearest(support, wanted)
-        off_by = DQ(flat(wanted)).conj() * DQ(reached)
-        far, angle = float(np.linalg.norm(off_by.translation())), abs(float(off_by.rotation_vector()[2]))
+        reached, _, stuck, missed = self._nearest(support, wanted)
+        off_by = DQ(flat(wanted, level_of(height, self.config))).conj() * DQ(reached)
+        far, angle = max(float(np.linalg.norm(off_by.translation())), missed), abs(float(off_by.rotation_vector()[2]))
         if max(far, s.lever * angle) > gait.footstep_tolerance:
             where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached).translation()[:2])
             why = f"{', '.join(stuck)} at the limit" if stuck else "no free ankle joint"
@@ -157,41 +218,49 @@ class Footsteps:
         return reached
 
     def reachable(self, support: Foot, wanted: Array) -> Array:
-        """Return the reachable flat pose of the swing sole nearest to `wanted` (8,), shape (8,)."""
+        """Return the reachable pose of the level swing sole nearest to `wanted` (8,), shape (8,)."""
         return self._nearest(support, wanted)[0]
 
     def posture(self, support: Foot, wanted: Array) -> Array:
         """Return the posture (n,) [rad] with the CoM over the `support` sole and the other one at `reachable`."""
         return self._nearest(support, wanted)[1]
 
-    def _nearest(self, support: Foot, wanted: Array) -> tuple[Array, Array, tuple[str, ...]]:
-        """Return the nearest reachable footprint (8,), the posture (n,), and the names of the joints at a limit there.
+    def _nearest(self, support: Foot, wanted: Array) -> tuple[Array, Array, tuple[str, ...], float]:
+        """Return the nearest reachable footprint (8,), its posture (n,), the joints at a limit there, and an error [m].
 
-        Two postures with the same footprint are computed together: one with the CoM over the support sole, in which the
-        swing foot lands, and one with the CoM over the swing sole, in which the next double support ends. The method is
-        Levenberg-Marquardt from the standing posture, with the joint limits as an active set. Large weights enforce
-        height, roll and pitch of the footprint, the positions of the CoM, and the equality of both footprints.
+        It is the error of what must be kept: height, roll and pitch of the sole, and places of the CoM.
+
+        Two postures with the same footprint are computed together: that in which the swing foot lands, in a standing
+        walk with the CoM over the support sole, and that in which the next double support ends, with the CoM over the
+        swing sole. The method is Levenberg-Marquardt from the standing posture, with the joint limits as an active set.
+        Large weights enforce height, roll and pitch of the footprint, the positions of the CoM, and the equality of
+        both footprints.
         """
         model, n = self._model, self._model.n
         frame = model.soles[support.other].frame
         p_d, r_d = DQ(wanted).translation(), wanted[:4].copy()
         sole = Observer([Point(frame), Rotation(frame)], Kinematics(model, self._q_ref, support).tree)
-        over = [model.soles[support].center, model.soles[support.other].center]
+        stands, lands, carried = model.soles[support].center, model.soles[support.other].center, self._carried
+        level = level_of(float(p_d[2]), self.config)
+        p_d[2] = level
+        tall = None if carried.height is None else carried.height + min(level, 0.0)
         q_ref = np.tile(np.clip(self._q_ref, model.q_min, model.q_max), 2)
         low, high = np.tile(model.q_min, 2), np.tile(model.q_max, 2)
 
         def residual(q: Array) -> tuple[Array, Array]:
-            J, e = np.zeros((16 + 2 * n, 2 * n)), np.zeros(16 + 2 * n)
+            J, e = np.zeros((18 + 2 * n, 2 * n)), np.zeros(18 + 2 * n)
             for k in range(2):
                 part, rows = slice(k * n, (k + 1) * n), slice(8 * k, 8 * k + 8)
                 kin = Kinematics(model, q[part], support)
                 s, J_s = sole(kin)
                 off, gradient = pose_error(s, p_d, r_d, 1.0)
                 turn = gradient @ J_s
-                center, J_center = over[0], np.zeros((3, n))
-                if k == 1:
-                    center, J_center = kin.point(frame, over[1]), kin.point_jacobian(frame, over[1])
+                part_of_way = carried.share[k]
+                center = (1.0 - part_of_way) * stands + part_of_way * kin.point(frame, lands)
+                J_center = part_of_way * kin.point_jacobian(frame, lands)
                 com, J_com = (kin.com - center)[:2], (kin.com_jacobian - J_center)[:2]
+                if tall is not None:
+                    e[16 + k], J[16 + k, part] = _KEPT * (kin.com[2] - tall), _KEPT * kin.com_jacobian[2]
                 e[rows] = np.concatenate([_KEPT * off[_UPRIGHT], _FREE_WEIGHT * off[_FREE], _KEPT * com])
                 J[rows, part] = np.concatenate(
                     [_KEPT * turn[_UPRIGHT], _FREE_WEIGHT[:, None] * turn[_FREE], _KEPT * J_com]
@@ -200,8 +269,8 @@ class Footsteps:
             e[11:14] = _KEPT * (e[11:14] - e[3:6])
             J[11:14, n:] *= _KEPT
             J[11:14, :n] = -_KEPT * J[3:6, :n]
-            e[16:] = _POSTURE * (q - q_ref)
-            J[16:] = _POSTURE * np.eye(2 * n)
+            e[18:] = _POSTURE * (q - q_ref)
+            J[18:] = _POSTURE * np.eye(2 * n)
             return e, J
 
         q, damping = q_ref, _DAMPING
@@ -220,10 +289,12 @@ class Footsteps:
                 if damping > 1e6:
                     break
                 continue
-            done = np.abs(e_moved - e)[:16].max() < _STILL
+            done = np.abs(e_moved - e)[:18].max() < _STILL
             q, e, J, damping = moved, e_moved, J_moved, max(0.2 * damping, _DAMPING)
             if done:
                 break
         at_limit = ((q <= low + 1e-6) | (q >= high - 1e-6)).reshape(2, n).any(axis=0)
         joints = tuple(model.joint_names[i] for i in np.flatnonzero(at_limit))
-        return flat(Kinematics(model, q[:n], support).pose(frame)), q[:n], joints
+        kept = [0, 1, 2, 6, 7, 8, 9, 10, 14, 15, 16, 17]  # of the residuals
+        missed = float(np.abs(e[kept]).max()) / _KEPT
+        return flat(Kinematics(model, q[:n], support).pose(frame), level), q[:n], joints, missed

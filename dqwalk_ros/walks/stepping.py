@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import FrameHeld, PointsOverPlane
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Plane
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -18,9 +21,10 @@ from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.walks.arms import Arms
 from dqwalk_ros.walks.footprint import flat
-from dqwalk_ros.walks.footsteps import Footsteps
+from dqwalk_ros.walks.footsteps import Carried, Footsteps, level_of, parsed
 
 __all__ = ["JOINT_RETURN", "SteppingWalk"]
 
@@ -43,7 +47,10 @@ class SteppingWalk(Walk):
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
-        self.footsteps = Footsteps(config, model, self.posture)
+        self.footsteps = Footsteps(config, model, self.posture, self._carried())
+        self._planned: deque[Array] = deque()  # remaining commanded footprints, each in the frame of its support sole
+        self._stands_first: Foot | None = None  # support foot of the first commanded footprint
+        self._aimed: Array | None = None  # where the last commanded footprint was to be, in its support sole
         self.arms = Arms(config, model, self.posture) if config.arms.joints else None
         self._twist = (0.0, 0.0, 0.0)
         self._stopping = False
@@ -54,8 +61,9 @@ class SteppingWalk(Walk):
     @staticmethod
     def describe(config: Config) -> str:
         """Return the number of steps in words, such as ``20 steps``."""
-        steps = config.gait.steps
-        return f"{steps} step{'s' if steps > 1 else ''}" if steps else "steered by cmd_vel"
+        commanded = len(config.gait.footsteps)
+        steps, what = commanded or config.gait.steps, "footstep" if commanded else "step"
+        return f"{steps} {what}{'s' if steps > 1 else ''}" if steps else "steered by cmd_vel"
 
     @cached_property
     def posture(self) -> Array:
@@ -71,6 +79,64 @@ class SteppingWalk(Walk):
         if self.arms is not None:
             self.arms.update(phase, kin, state)
         return None
+
+    def _carried(self) -> Carried:
+        """Return where the CoM is while both feet stand."""
+        return Carried()
+
+    def prepare(self) -> None:
+        """Check the steps of ``gait.footsteps``, on the last of which the walk ends.
+
+        Raises
+        ------
+        ConfigError
+            If a step violates a limit, or ``gait.steps`` is not 0.
+        """
+        gait = self.config.gait
+        if not gait.footsteps:
+            return
+        if gait.steps:
+            raise ConfigError(f"gait.footsteps are the steps of the walk; gait.steps is {gait.steps}, it must be 0")
+        support, prints = self._first, []
+        for length, side, turn, up in parsed(gait.footsteps):
+            pose = DQ(self.footsteps.wanted(support, length, side, turn))
+            prints.append((DQ.from_pose([0.0, 0.0, up]) * pose).vec8())
+            support = support.other
+        try:
+            self.place(self._first, prints)
+        except StateError as error:
+            raise ConfigError(f"gait.footsteps: {error}") from None
+        self._stopping = True
+
+    def place(self, support: Foot, footprints: Sequence[Array]) -> None:
+        """Step on commanded footprints (8,), and wait on the last one; an empty sequence cancels the remaining ones.
+
+        Raises
+        ------
+        StateError
+            If a footprint violates a limit; see `Footsteps.planned`, also for the frames of the footprints.
+        """
+        self._planned, self._aimed = deque(self.footsteps.planned(support, footprints)), None
+        self._stands_first = support
+
+    def _next_footprint(self, kin: Kinematics) -> Array:
+        """Take the next commanded footprint, (8,) in the frame of its support sole, at the end of a double support.
+
+        `kin` is in the frame of the other sole. What the support foot has missed, up to ``gait.footstep_tolerance``, is
+        made up for, so that the errors of the landings do not add up.
+        """
+        footprint = DQ(self._planned.popleft())
+        if self._aimed is not None:
+            missed = DQ(flat(kin.pose(kin.swing))).conj() * DQ(flat(self._aimed))
+            if np.linalg.norm(missed.translation()) <= self.config.gait.footstep_tolerance:
+                footprint = missed * footprint
+        self._aimed = footprint.vec8()
+        return self._aimed
+
+    @property
+    def placed(self) -> int:
+        """Number of remaining commanded footprints."""
+        return len(self._planned)
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
         """Set the velocity of a steered walk, scaled down if a step would exceed its limits; see `Walk.steer`.
@@ -92,12 +158,13 @@ class SteppingWalk(Walk):
 
     def stop(self) -> None:
         """Put the feet together after the current step, and end the walk."""
+        self._planned.clear()
         self._stopping = True
 
     @property
     def _is_idle(self) -> bool:
-        """Whether a stance continues: that of a steered walk with zero velocity."""
-        return not (self.config.gait.steps or self._stopping or any(self._twist))
+        """Whether a stance continues: that of a steered walk with zero velocity, and without footsteps."""
+        return not (self.config.gait.steps or self._stopping or any(self._twist) or self._planned)
 
     def _period(self, length: float) -> float:
         """Return the duration [s] of a step of a length [m]."""
@@ -128,16 +195,22 @@ class SteppingWalk(Walk):
         return Next(PhaseKind.SINGLE_SUPPORT, support, self.footsteps.reachable(support, flat(kin.pose(other.frame))))
 
     def _leading(self) -> Foot:
-        """Return the first support foot: the one on the side opposite to the direction of turn or lateral motion."""
+        """Return the first support foot: that of commanded footprints, or that opposite to a turn or lateral motion."""
+        if self._planned and self._stands_first is not None:
+            return self._stands_first
         _, left, turn = self._twist
         to_left = turn if turn else left
         return self._first if not to_left else Foot.RIGHT if to_left > 0.0 else Foot.LEFT
 
     def _held(self, kin: Kinematics) -> FrameHeld:
-        """Return the equality that holds the other sole flat at its present pose."""
+        """Return the equality that holds the other sole level at its present pose."""
         s, frame = self.config.standing, kin.swing
-        pose = flat(kin.pose(frame))
+        pose = flat(kin.pose(frame), self._level(kin))
         return FrameHeld(name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=frame, pose=pose)
+
+    def _level(self, kin: Kinematics) -> float:
+        """Return the height of the other sole over the base sole [m]; 0 if both count as level."""
+        return level_of(float(kin.point(kin.swing)[2]), self.config)
 
     def _gap(self, support: Foot) -> PointsOverPlane:
         """Return the constraint that keeps the swing sole beside the support sole's inner edge, at ``sole_gap``."""

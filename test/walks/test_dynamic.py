@@ -335,6 +335,20 @@ def test_a_swing_lands_at_a_changed_goal_and_time() -> None:
     assert path[:, 2].max() == pytest.approx(0.02, abs=0.002)
 
 
+@pytest.mark.parametrize(("below", "goal"), [(0.0, 0.025), (-0.025, 0.025), (-0.025, 0.0), (0.0, -0.025)])
+def test_a_swing_clears_the_edge_of_a_stair_that_is_10_mm_from_the_sole(below: float, goal: float) -> None:
+    x = [-0.06, 0.12]
+    swing = Swing(DQ.from_pose([x[0], 0.08, below]).vec8(), DQ.from_pose([x[1], 0.08, goal]).vec8(), 0.02, 0.0, below)
+    path = np.array([np.concatenate(swing.step(t, 0.4)[:2]) for t in np.arange(0.001, 0.401, 0.001)])
+    edge = path[:, 0] > x[0] + 0.01 if goal > below else path[:, 0] < x[1] - 0.01
+    assert path[edge, 2].min() > max(goal, below) - 1e-9
+    assert path[-1, :3] == pytest.approx([x[1], 0.08, goal], abs=1e-6)
+    assert np.abs(path[-1, 7:]).max() < 1e-3
+    assert path[:, 2].max() < max(goal, below) + 0.021
+    slope = np.diff(path[:, 2]) / 0.001
+    assert np.abs(slope - 0.5 * (path[1:, 9] + path[:-1, 9])).max() < 0.02
+
+
 # ---------------------------------------------------------------------- the ground
 
 

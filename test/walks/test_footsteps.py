@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,11 @@ from dqwalk_ros import cli
 from dqwalk_ros.config import load
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_plant
-from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.support.errors import ConfigError, StateError
+from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.standing.walk import StandingWalk
 
 QUICK = {"standing.transfer_duration": 0.5, "standing.swing_duration": 0.5, "node.robot_description": False}
@@ -51,6 +54,72 @@ def test_footsteps_are_moved_within_the_tolerance_to_be_reachable() -> None:
     (x,) = STEPS.planned(Foot.LEFT, [wanted.vec8()])
     error = (wanted.conj() * DQ(x)).translation()
     assert 1e-3 < np.linalg.norm(error) < CONFIG.gait.footstep_tolerance
+
+
+# ---------------------------------------------------------------------- heights
+
+DYNAMIC = load("poppy_dynamic").updated({"gait.steps": 0, "gait.most_length": 0.13})
+
+
+def stairs(*steps: str) -> DynamicWalk:
+    return DynamicWalk(DYNAMIC.updated({"gait.footsteps": steps}), MODEL)
+
+
+@pytest.mark.parametrize("support", Foot)
+def test_a_step_to_a_footprint_is_the_stride_that_leads_there(support: Foot) -> None:
+    steps = stairs().footsteps
+    for step in ((0.05, 0.0, 0.0), (0.02, -0.01, 0.1), (-0.03, 0.02, -0.14)):
+        assert steps.step_to(support, steps.wanted(support, *step)) == pytest.approx(step, abs=1e-12)
+
+
+def test_footprints_on_stairs_keep_their_heights() -> None:
+    walk = stairs("0.05 0 0 0.025", "0.12 0 0 -0.025", "0.05 0 0 0.005")
+    walk.prepare()
+    heights = [float(DQ(x).translation()[2]) for x in walk._planned]
+    assert heights == pytest.approx([0.025, -0.025, 0.0], abs=1e-12)  # 5 mm are level
+
+
+@pytest.mark.parametrize(
+    ("step", "limit"),
+    [
+        ("0.05 0 0 0.012", "12 mm above the other sole: up to 10 mm"),
+        ("0.124 0 0 -0.1", r"footstep 1, of the right foot: out of reach by .* \(l_ankle_y at the limit\)"),
+        ("0.2 0 0 0.025", r"gait\.most_length is 0\.13 m"),
+        ("0.05 0 0.025", r"wants 'AHEAD LEFT TURN UP'"),
+    ],
+)
+def test_steps_that_the_legs_cannot_make_are_refused_before_the_walk(step: str, limit: str) -> None:
+    with pytest.raises(ConfigError, match=limit):
+        stairs(step).prepare()
+
+
+def test_footsteps_need_a_walk_without_other_steps() -> None:
+    with pytest.raises(ConfigError, match=r"gait\.steps is 20, it must be 0"):
+        DynamicWalk(DYNAMIC.updated({"gait.footsteps": ("0 0 0 0",), "gait.steps": 20}), MODEL).prepare()
+
+
+def test_the_next_footstep_makes_up_for_what_a_landing_has_missed() -> None:
+    walk = stairs("0.05 0 0 0", "0.05 0 0 0", "0.05 0 0 0")
+    walk.prepare()
+    kin = Kinematics(MODEL, walk.posture, Foot.LEFT)
+    first = DQ(walk._next_footprint(kin))
+    missed = turned(-0.004, 0.002, 0.01)  # the landed sole in its footprint
+    second = DQ(walk._next_footprint(SimpleNamespace(swing="r_sole", pose=lambda _: (first * missed).vec8())))
+    wanted = DQ(walk.footsteps.wanted(Foot.RIGHT, 0.05, 0.0, 0.0))
+    np.testing.assert_allclose((missed * second).vec8(), wanted.vec8(), atol=5e-4)  # moved into reach by so much
+
+
+@pytest.mark.parametrize("up", [0.025, -0.025])
+def test_a_walk_over_a_stair_moves_soles_and_com_by_its_height(up: float) -> None:
+    config = DYNAMIC.updated({"gait.footsteps": (f"0.1 0 0 {up}", "0 0 0 0")})
+    controller, plant = make_controller(config, MODEL), make_plant("kinematic", config, MODEL)
+    trace = simulate(controller, plant)
+    assert trace.finished, trace.notes
+    last = controller.soles()
+    assert [DQ(last[foot]).translation()[2] for foot in Foot] == pytest.approx([up, up], abs=1e-3)
+    assert [DQ(last[foot]).translation()[0] for foot in Foot] == pytest.approx([0.1, 0.1], abs=2e-3)
+    kin = Kinematics(MODEL, trace.q[-1], Foot.LEFT)
+    assert kin.com[2] == pytest.approx(Kinematics(MODEL, trace.q[0], Foot.LEFT).com[2], abs=2e-3)
 
 
 class KinematicRobot:

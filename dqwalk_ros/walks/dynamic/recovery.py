@@ -96,6 +96,7 @@ class RecoveringWalk(StandingWalk):
         ConfigError
             If ``gait.recover`` is not the configuration of a dynamic walk.
         """
+        super().prepare()
         self.steps = Steps(_steps_config(self.config), self.model)
         self.steps.arms = self.arms
         self.steps.prepare()
@@ -148,4 +149,6 @@ def _with_steps(config: Config, dynamic: Config) -> Config:
     """Return `config` with the sections of `dynamic` that apply while steps catch a push."""
     taken = {name: value for name, value in dynamic.flat().items() if name.split(".")[0] in _TAKEN}
     own = {"standing.posture": config.standing.posture, "servo.assumed_lead": dynamic.servo.assumed_lead}
-    return config.updated({**taken, **own, "gait.style": "dynamic", "gait.recover": "", "gait.steps": 0})
+    return config.updated(
+        {**taken, **own, "gait.style": "dynamic", "gait.recover": "", "gait.steps": 0, "gait.footsteps": ()}
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.following import minimum_jerk
 
-__all__ = ["Swing"]
+__all__ = ["Climb", "Swing"]
 
 
 _LIFT, _LAND = 0.02, 0.06
@@ -21,10 +22,38 @@ _GENTLE = 2.7
 """Exponent of the height at the end: with 2.5 stiff legs touch the ground too early, with 3 soft ones land late."""
 _TOP = 2.0 / (2.0 + _GENTLE)
 _SCALE = 1.0 / (_TOP**2 * (1.0 - _TOP) ** _GENTLE)
+_CLEAR = 0.15
+"""Fraction of the duration without motion along the ground, in addition, on the lower side of the edge of a stair."""
+
+
+@dataclass
+class Climb:
+    """A change of height on a minimum-jerk path.
+
+    Attributes
+    ----------
+    start, end : float
+        [m]
+    duration : float
+        [s]
+    """
+
+    start: float
+    end: float
+    duration: float
+
+    def at(self, elapsed: float) -> tuple[float, float]:
+        """Return height [m] and velocity [m/s], `elapsed` [s] after the start."""
+        place, slope, _ = minimum_jerk(elapsed / self.duration)
+        way = self.end - self.start
+        return self.start + place * way, slope / self.duration * way
 
 
 class Swing:
     """Path of a sole: minimum jerk along the ground, and an arch in height.
+
+    On a stair the arch is added to the change of height: minimum jerk over the first half of the time on the way up,
+    over the last half on the way down. The motion along the ground takes place while the foot is above the edge.
 
     Parameters
     ----------
@@ -34,6 +63,8 @@ class Swing:
         Largest height of the path [m].
     descent : float
         Duration of a whole swing of which only the descent remains; zero for a swing that starts on the ground [s].
+    level : float
+        Height of the ground at the start over that of the supporting sole [m].
 
     Attributes
     ----------
@@ -44,17 +75,20 @@ class Swing:
         Landing position, which may be changed during the swing [m].
     """
 
-    def __init__(self, start: Array, goal: Array, height: float, descent: float = 0.0) -> None:
+    def __init__(self, start: Array, goal: Array, height: float, descent: float = 0.0, level: float = 0.0) -> None:
         a, b = DQ(start), DQ(goal)
         half = 0.5 * (b * a.conj()).rotation_vector()
         x, y, z = a.translation()
+        z -= level
+        climb = float(b.translation()[2]) - level
         done = 0.0
         if descent > 0.0:
             done = _descent(z / height)
             z, height = 0.0, z / _arch(done)[0]
         self.goal = b.translation()[:2]
         self.begun = done * descent
-        self._path = np.array([z, height, *a.vec4(), *half, np.linalg.norm(half)])
+        lift, land = _LIFT + _CLEAR * (climb > 0.0), _LAND + _CLEAR * (climb < 0.0)
+        self._path = np.array([z, height, *a.vec4(), *half, np.linalg.norm(half), level, climb, lift, land])
         self._state = np.array([done, self.begun, x, y, 0.0, 0.0])
 
     def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
@@ -84,14 +118,18 @@ class Swing:
 def _advanced(state, goal, path, elapsed, duration):  # type: ignore[no-untyped-def]
     """Advance `state` (6,) to the time `elapsed`; see `Swing.step`.
 
-    It is the completed fraction of the time, the time [s], and place and velocity along the ground; `path` (10,) is the
-    height of the start and of the arch [m], the orientation at the start, half the rotation vector and its norm.
+    It is the completed fraction of the time, the time [s], and place and velocity along the ground; `path` (14,) is the
+    height of the start over its ground and that of the arch [m], the orientation at the start, half the rotation vector
+    and its norm, the height of the ground at the start and its change [m], and the fractions of the time at the
+    beginning and at the end without motion along the ground.
     """
+    level, climb, lift, land = path[10], path[11], path[12], path[13]
     since, left = elapsed - state[1], max(duration - state[1], 1e-3)
     # the completed fraction of the time increases linearly to 1 at the end
     s = min(state[0] + (1.0 - state[0]) / left * since, 1.0)
     rate = (1.0 - s) / max(duration - elapsed, 1e-3) if s < 1.0 else 0.0
-    (before, _), (place, slope), p, v = _along(state[0]), _along(s), state[2:4].copy(), np.zeros(2)
+    (before, _), (place, slope) = _along(state[0], lift, land), _along(s, lift, land)
+    p, v = state[2:4].copy(), np.zeros(2)
     if before < 1.0:  # the same fraction of the remaining distance as for a fixed goal
         p += (place - before) / (1.0 - before) * (goal - p)
     if place < 1.0 - 1e-9:
@@ -100,7 +138,9 @@ def _advanced(state, goal, path, elapsed, duration):  # type: ignore[no-untyped-
     state[0], state[1], state[2:4], state[4:] = s, elapsed, p, v
     arch, steep = _arch(s)
     start, height, r, half, angle = path[0], path[1], path[2:6], path[6:9], path[9]
-    z, rise = start * (1.0 - s) + height * arch, -start + height * steep
+    up, steeper, _ = minimum_jerk(2.0 * s if climb > 0.0 else 2.0 * s - 1.0)
+    z = start * (1.0 - s) + height * arch + (level + climb * up)
+    rise = -start + height * steep + 2.0 * climb * steeper
     sin = math.sin(angle * place) / angle if angle > 0.0 else 0.0
     axis = sin * half
     turned = quaternion_product(math.cos(angle * place), axis[0], axis[1], axis[2], r[0], r[1], r[2], r[3])
@@ -109,10 +149,13 @@ def _advanced(state, goal, path, elapsed, duration):  # type: ignore[no-untyped-
 
 
 @jit
-def _along(s):  # type: ignore[no-untyped-def]
-    """Return the completed fraction of the distance along the ground at the fraction `s` of the time, and its slope."""
-    span = 1.0 - _LIFT - _LAND
-    place, slope, _ = minimum_jerk((s - _LIFT) / span)
+def _along(s, lift, land):  # type: ignore[no-untyped-def]
+    """Return the completed fraction of the distance along the ground at the fraction `s` of the time, and its slope.
+
+    The fractions `lift` and `land` at the beginning and at the end are without motion.
+    """
+    span = 1.0 - lift - land
+    place, slope, _ = minimum_jerk((s - lift) / span)
     return place, slope / span
 
 

@@ -35,9 +35,10 @@ from dqwalk_ros.walks.dynamic.force import approached, converging, ground_force,
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
-from dqwalk_ros.walks.dynamic.swing import Swing
+from dqwalk_ros.walks.dynamic.swing import Climb, Swing
 from dqwalk_ros.walks.following import Follow, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
+from dqwalk_ros.walks.footsteps import Carried
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 
 __all__ = ["DynamicWalk"]
@@ -65,6 +66,9 @@ _AHEAD_OF_DELAY = 0.5
 of it a bus at 50 Hz tilts the soles."""
 _LATERAL = 0.9
 """Least lateral part of the axis of a joint that pitches the trunk."""
+_SHIFT = 0.1
+"""Part of the way between the soles by which the CoM is before their middle when a foot lands, and behind it when the
+other one lifts off."""
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
 
@@ -124,6 +128,7 @@ class DynamicWalk(SteppingWalk):
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
         kin = Kinematics(model, self.posture, self._first)
         self._height, self._trunk = kin.com[2:], _pitching(kin)  # height of the CoM in the posture, (1,) [m]
+        self._climb = Climb(0.0, 0.0, 1.0)  # of the CoM over its height in the posture
         self.pendulum: InvertedPendulum
         self._inertia: dict[Foot, Array]  # (n, n) of the swing leg with its rotors, for each base sole [kg m^2]
         self._ground: Ground
@@ -139,10 +144,13 @@ class DynamicWalk(SteppingWalk):
     @staticmethod
     def phases(config: Config) -> int:
         """Return the number of phases, with both stances and the steps that place the feet together; 0 if steered."""
+        if commanded := len(config.gait.footsteps):
+            return 2 * commanded + 2
         return 2 * config.gait.steps + 4 if config.gait.steps else 0
 
     def prepare(self) -> None:
-        """Compute the constants of the pendulum and of the swing leg, in the initial posture."""
+        """Check the footsteps; compute the constants of the pendulum and of the swing leg, in the initial posture."""
+        super().prepare()
         kin = Kinematics(self.model, self.posture, self._first)
         found = InvertedPendulum.of(self.one_foot(self._first, self.posture, kin.pose(kin.swing)), kin)
         self.pendulum = replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
@@ -151,6 +159,11 @@ class DynamicWalk(SteppingWalk):
             M = swing_inertia(Kinematics(self.model, self.posture, base))
             self._inertia[base] = M + np.diag(np.where(M.diagonal() > 0.0, self._drive.armature, 0.0))
 
+    def _carried(self) -> Carried:
+        """Return where the CoM is while both feet stand: about halfway between the soles."""
+        height = float(Kinematics(self.model, self.posture, Foot.LEFT).com[2])
+        return Carried((0.5 - _SHIFT, 0.5 + _SHIFT), height)
+
     # ------------------------------------------------------------------ order
 
     def following(self, phase: Phase | None, kin: Kinematics) -> Next | None:
@@ -158,18 +171,26 @@ class DynamicWalk(SteppingWalk):
         if phase is None:
             return self._on_its_feet(kin) or Next(PhaseKind.STANCE, self._first)
         if phase.kind is PhaseKind.STANCE:
-            over = self._together and (self._stopping or 0 < self.config.gait.steps <= self._done)
+            ended = self._stopping or 0 < self.config.gait.steps <= self._done
+            over = self._together and ended and not self._planned
             return None if over else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             return Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
-        self._step_now, self._together = self._after(self._step_now, self._done)
+        self._step_now, self._together = self._after(self._step_now, self._done, phase.support)
         self._done += 1
+        if self._planned:
+            return Next(PhaseKind.SINGLE_SUPPORT, phase.support, self._next_footprint(kin))
         footprint = self.footsteps.wanted(phase.support, *self._step_now.tolist())
         return Next(PhaseKind.SINGLE_SUPPORT, phase.support, footprint)
 
     def pause(self, wanted: bool) -> None:
-        """Put the feet together after the current step and stand, or continue: in mid-step the robot would fall."""
+        """Put the feet together after the current step and stand, or continue: in mid-step the robot would fall.
+
+        Commanded footsteps are cancelled.
+        """
         self._pausing = wanted
+        if wanted:
+            self._planned.clear()
 
     def may_hold(self, phase: Phase) -> bool:
         """Return whether `phase` is a stance that has brought the CoM to rest."""
@@ -184,8 +205,11 @@ class DynamicWalk(SteppingWalk):
         """Return 0: after an interruption a phase begins again immediately, because its reference has advanced."""
         return 0.0
 
-    def _after(self, step: Array, done: int) -> tuple[Array, bool]:
-        """Return the step after `step` and `done` completed steps, and whether it places the feet side by side."""
+    def _after(self, step: Array, done: int, support: Foot) -> tuple[Array, bool]:
+        """Return the step on `support` after `step` and `done` steps, and whether a stance follows it."""
+        ahead = done - self._done
+        if ahead < len(self._planned):
+            return self.footsteps.step_to(support, self._planned[ahead]), ahead + 1 == len(self._planned)
         gait, ramp = self.config.gait, self.config.dynamic.ramp
         stopping = self._stopping or self._pausing
         if gait.steps:
@@ -331,6 +355,9 @@ class DynamicWalk(SteppingWalk):
         ahead = _AHEAD_OF_DELAY * self._advance
         later, _ = self._reference.at(t + ahead)
         self._targets["com"].set(*converging(now.c, now.xi, later, omega, ahead))
+        self._climb.duration = phase.rule.duration
+        above, rising = self._climb.at(t + ahead)
+        self._targets["height"].set(self._height + above, np.array([rising]))
         self._targets["upright"].set(up[:2], np.zeros(2))
         return change
 
@@ -403,17 +430,21 @@ class DynamicWalk(SteppingWalk):
     def _begin(self, phase: Phase, kin: Kinematics) -> None:
         """Plan a phase for the current poses of the feet, in the axes of the base sole of the phase."""
         before, self._known = self._known, phase
-        other = Footprint.of(kin.pose(kin.swing))
+        other, level = Footprint.of(kin.pose(kin.swing)), self._level(kin)
         if before is not None and before.base is not phase.base:  # transform from the previous base sole
             self._ground.change_base(other)
             self._now.change_base(other)
+            self._climb.end += level  # over the new base sole
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
         self._flight = None
         corners, omega, rule = self.model.soles[phase.base].corners[:, :2], self.pendulum.omega, phase.rule
         assert isinstance(rule, Timed)
+        above = self._climb.end
+        self._climb = Climb(above, above, rule.duration)
         if phase.swing_target is not None:
             self._reference = self._flight_reference(phase, kin, rule)
+            self._climb.end = min(float(DQ(phase.swing_target).translation()[2]), 0.0)
         else:
             corners = np.concatenate([corners, other.points(self.model.soles[phase.base.other].corners[:, :2])])
             if phase.kind is PhaseKind.STANCE:
@@ -452,7 +483,8 @@ class DynamicWalk(SteppingWalk):
         )  # fmt: skip
         descends, self._descends = self._descends, False
         start = (DQ(self._ground.tip(kin.up)).conj() * DQ(kin.pose(kin.swing))).vec8()
-        swing = Swing(start, target, self.config.gait.step_height, rule.duration if descends else 0.0)
+        whole, level = (rule.duration, 0.0) if descends else (0.0, self._level(kin))
+        swing = Swing(start, target, self.config.gait.step_height, whole, level)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
         self._flight = _Flight(rule, reference, step, swing, swing.goal, lost=self._confirmed if self._pushed else 0)
@@ -471,7 +503,7 @@ class DynamicWalk(SteppingWalk):
         supports = []
         while True:
             if landing is None:
-                step, together = self._after(step, done)
+                step, together = self._after(step, done, foot)
                 done += 1
                 landing = self.footsteps.stride(foot, *step.tolist())
             supports.append(self._support_on(foot, stands, step))

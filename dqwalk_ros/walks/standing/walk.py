@@ -6,8 +6,7 @@ of its edges is a plane, "as many planes as necessary" (section 3.1 [Urban2020])
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -43,13 +42,13 @@ class StandingWalk(SteppingWalk):
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
         self._requested = config  # from the next phase on
-        self._planned: deque[Array] = deque()  # remaining commanded footprints, each in the frame of its support sole
-        self._stands_first: Foot | None = None  # support foot of the first commanded footprint
         self._balance: Balance | None = None
 
     @staticmethod
     def phases(config: Config) -> int:
         """Return the number of phases: two per step, two to put the feet together, and a stance; 0 if steered."""
+        if commanded := len(config.gait.footsteps):
+            return 2 * commanded + 2
         return 2 * config.gait.steps + 3 if config.gait.steps else 0
 
     # ------------------------------------------------------------------ order
@@ -57,27 +56,6 @@ class StandingWalk(SteppingWalk):
     def tune(self, config: Config) -> None:
         """Replace the parameters from the next phase on."""
         self._requested = config
-
-    def place(self, support: Foot, footprints: Sequence[Array]) -> None:
-        """Step on commanded footprints (8,), and wait on the last one; an empty sequence cancels the remaining ones.
-
-        Raises
-        ------
-        StateError
-            If a footprint violates a limit; see `Footsteps.planned`, also for the frames of the footprints.
-        """
-        self._planned = deque(self.footsteps.planned(support, footprints))
-        self._stands_first = support
-
-    @property
-    def placed(self) -> int:
-        """Number of remaining commanded footprints."""
-        return len(self._planned)
-
-    @property
-    def _is_idle(self) -> bool:
-        """Whether a stance continues: without footprints, in a steered walk with zero velocity."""
-        return super()._is_idle and not self._planned
 
     def following(self, phase: Phase | None, kin: Kinematics) -> Next | None:
         """Return what follows `phase`; None after the last one. At first a foot that is in the air is put down."""
@@ -87,11 +65,12 @@ class StandingWalk(SteppingWalk):
             first = Next(PhaseKind.DOUBLE_SUPPORT if steps else PhaseKind.STANCE, self._first)
             return self._on_its_feet(kin) or first
         if phase.kind is PhaseKind.STANCE:
-            return None if steps or self._stopping else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
+            over = not self._planned and (steps or self._stopping)
+            return None if over else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             return Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
-        if self._planned and not self._stopping:
-            target = self._planned.popleft()
+        if self._planned:
+            target = self._next_footprint(kin)
             self._together = not self._planned
         else:
             step = self._step()
@@ -116,10 +95,6 @@ class StandingWalk(SteppingWalk):
         if gait.steps:
             return None if self._done >= gait.steps else (gait.step_length, gait.step_side, gait.step_turn)
         return self._step_at(self._twist) if any(self._twist) else None
-
-    def _leading(self) -> Foot:
-        """Return the first support foot: that of the commanded footprints if there are any."""
-        return self._stands_first if self._planned and self._stands_first is not None else super()._leading()
 
     # ------------------------------------------------------------------ phases
 
