@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -166,19 +167,41 @@ _WARM_PHASES = 5
 """Index of the phase at which it ends: after a stance, both double supports and a single support."""
 
 
+class _Controller(Protocol):
+    config: Config
+
+    @property
+    def finished(self) -> bool: ...
+
+    def step(self, state: Any, dt: float) -> Any: ...
+
+
+class _Plant(Protocol):
+    @property
+    def state(self) -> Any: ...
+
+    @property
+    def fallen(self) -> bool: ...
+
+    def step(self, command: Any, dt: float) -> Any: ...
+
+
 def closed_loop(
-    controller: VelocityController,
-    plant: Plant,
+    controller: _Controller,
+    plant: _Plant,
     before_step: Callable[[float], None] | None = None,
-) -> Iterator[tuple[State, Command]]:
+    periods: int | None = None,
+) -> Iterator[tuple[Any, Any]]:
     """Run the closed loop, and yield each state with its command, until the walk is finished or the robot has fallen.
 
     Parameters
     ----------
-    controller : VelocityController
-    plant : Plant
+    controller : VelocityController or WholeBodyController
+    plant : Plant or BodyPlant
     before_step : callable, optional
         Called before each step with the time since the start [s]; it may steer, stop or push.
+    periods : int, optional
+        Number of periods after which the loop ends.
 
     Raises
     ------
@@ -190,7 +213,7 @@ def closed_loop(
     dt = controller.config.dt
     begin = plant.state.time
     try:
-        while True:
+        for _ in itertools.count() if periods is None else range(periods):
             if before_step is not None:
                 before_step(plant.state.time - begin)
             state = plant.state

@@ -27,6 +27,10 @@ __all__ = ["BodyCommand", "BodyState", "BodyTick", "WholeBodyController"]
 
 
 _EPS = 1e-9
+_LOW = 0.2
+"""Relative error of the CoM's height that counts as a fall."""
+_LEANS = 1.0
+"""Inclination of the torso that counts as a fall [rad], also if bent legs keep the CoM at its height."""
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -188,6 +192,12 @@ class WholeBodyController:
         d = self.last.scene.dynamics
         tilt = rotation_error(d.frames[self.config.whole_body.torso].rotation)
         return float(d.com[2] - self.point_mass.height), float(np.linalg.norm(tilt))
+
+    @property
+    def finished(self) -> bool:
+        """Whether the walk is over, because the robot has fallen at the last step."""
+        height_error, tilt = self.posture_error
+        return abs(height_error) > _LOW * self.point_mass.height or tilt > _LEANS
 
     @property
     def start(self) -> BodyState:

@@ -11,6 +11,7 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.model import RobotModel, load_model
+from dqwalk_ros.simulation import closed_loop
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, WholeBodyController
@@ -22,10 +23,6 @@ __all__ = ["PLANTS", "follow", "make_body_plant", "retrace", "walk"]
 
 PLANTS = ("rigid", "physics")
 """Plants: rigid bodies on rigid ground, or MuJoCo."""
-_LOW = 0.2
-"""Relative error of the CoM's height that counts as a fall."""
-_LEANS = 1.0
-"""Inclination of the torso that counts as a fall [rad], also if bent legs keep the CoM at its height."""
 
 Progress = Callable[[float, str], None]
 """Callback with the fraction done and a line of text."""
@@ -63,31 +60,29 @@ def follow(
     """
     dt, begin, rows, note = controller.config.dt, plant.state.time, Collector(controller, scenario), ""
     targets, pushes = sorted(scenario.targets), sorted(scenario.pushes)
+    replaced: list[Array | None] = []  # targets that were replaced in this period
+
+    def act(now: float) -> None:
+        replaced.clear()
+        while targets and targets[0][0] <= now + 1e-9:
+            replaced.append(controller.target)
+            controller.reach(targets.pop(0)[1])
+        while pushes and pushes[0][0] <= now + 1e-9:
+            plant.push(pushes.pop(0)[1])
+
     try:
-        for _ in range(round(scenario.duration / dt)):
-            now = plant.state.time - begin
-            before, jumped = controller.target, False
-            while targets and targets[0][0] <= now + 1e-9:
-                controller.reach(targets.pop(0)[1])
-                jumped = now > 0.0
-            while pushes and pushes[0][0] <= now + 1e-9:
-                plant.push(pushes.pop(0)[1])
-            state = plant.state
-            command = controller.step(state, dt)
-            if jumped:
-                rows.reactions.append(_reaction(now, controller, before))
-            if _fallen(controller):
+        for state, _ in closed_loop(controller, plant, act, round(scenario.duration / dt)):
+            now = state.time - begin
+            rows.add(state, plant)
+            if replaced and now > 0.0:
+                rows.reactions.append(_reaction(now, controller, replaced[0]))
+            if controller.finished:
                 note = f"fell at {now:.3f} s"
-                break
-            if progress is not None:
+            elif progress is not None:
                 progress(now / scenario.duration, f"{scenario.name}  t = {now:.1f} s")
-            plant.step(command, dt)
-            rows.add(state, plant.effort, plant.wrenches)
     except DqwalkError as error:
         note = f"gave up at {plant.state.time - begin:.3f} s: {error}"
-    if not len(rows):
-        raise DqwalkError(f"{scenario.name} ended before its first tick: {note or 'it is shorter than one'}")
-    return rows.trace(note)
+    return rows.trace(plant, note)
 
 
 def _reaction(now: float, controller: WholeBodyController, before: Array | None) -> Reaction:
@@ -98,11 +93,6 @@ def _reaction(now: float, controller: WholeBodyController, before: Array | None)
     x = tick.answer.x[first]
     held = bool((np.minimum(x - h.lower[first], h.upper[first] - x) < 1e-6).all())
     return Reaction(now, scene.swing is not None, tuple(moved.tolist()), held)
-
-
-def _fallen(controller: WholeBodyController) -> bool:
-    height_error, tilt = controller.posture_error
-    return abs(height_error) > _LOW * controller.point_mass.height or tilt > _LEANS
 
 
 def walk(
@@ -154,7 +144,8 @@ class _RecordedPlant(BodyPlant):
         self.off = max(self.off, float(np.abs(command.effort - self.effort).max()))
         rows = zip(Foot, self._log.wrenches[done], strict=True)
         self.wrenches = {foot: row for foot, row in rows if np.isfinite(row).all()}
-        self.state = self._log.states[min(self._periods, len(self._log.states) - 1)]
+        states, last = self._log.states, self._log.states[-1]
+        self.state = states[self._periods] if self._periods < len(states) else replace(last, time=last.time + dt)
 
     def _hit(self, impulse: Array) -> None:
         """Do nothing: the recorded states contain the effect of the push."""

@@ -40,7 +40,11 @@ class BodyPlant(ABC):
     wrenches : mapping of Foot to ndarray, shape (6,)
         Force and moment of the ground on each standing foot in the last period, about its sole link's origin, in world
         axes [N, N m]; empty if the plant does not compute them.
+    fallen : bool
+        False: the controller finds out whether the robot has fallen.
     """
+
+    fallen = False
 
     def __init__(self, state: BodyState) -> None:
         self.state, self.effort = state, np.zeros(len(state.q))

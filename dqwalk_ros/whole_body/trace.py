@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +14,10 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import DqwalkError
 from dqwalk_ros.support.provenance import here
 from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController
+from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 from dqwalk_ros.whole_body.scenario import Scenario
 
 __all__ = ["BodyLog", "Collector", "Reaction", "WholeBodyTrace"]
@@ -171,23 +175,21 @@ class Collector:
 
     def __init__(self, controller: WholeBodyController, scenario: Scenario) -> None:
         self._controller, self._scenario = controller, scenario
-        self._rows: dict[str, list[object]] = {}
-        self._margins: list[dict[str, float]] = []
+        self._rows: dict[str, list[Any]] = defaultdict(list)
+        self._forces: list[tuple[Array, Mapping[Foot, Array]]] = []
         self.reactions: list[Reaction] = []
 
-    def add(self, state: BodyState, effort: Array, wrenches: Mapping[Foot, Array]) -> None:
-        """Add the last step of the controller, with the torques and contact wrenches of the plant after it."""
+    def add(self, state: BodyState, plant: BodyPlant) -> None:
+        """Add a state, the controller's step for it, and the plant's torques and wrenches in the period before."""
+        self._forces.append((plant.effort, plant.wrenches))
         c, tick, target = self._controller, self._controller.last, self._controller.target
         scene, answer, settings = tick.scene, tick.answer, c.config.whole_body
         d, preview, footsteps = scene.dynamics, scene.preview, tick.footsteps
         left, right = (d.frames[c.model.soles[foot].frame].position for foot in Foot)
-        no_contact = np.full(6, np.nan)
         height_error, tilt = c.posture_error
         dP = np.diff(footsteps, axis=0, prepend=scene.support[None])
         row = {
             **{name: getattr(state, name) for name in ("time", "q", "dq", "x_base", "v_base")},
-            "effort": effort,
-            "wrenches": [wrenches.get(foot, no_contact) for foot in Foot],
             "target": np.full(3, np.nan) if target is None else target,
             "hand": d.frames[settings.hand].position,
             "com": d.com,
@@ -201,31 +203,46 @@ class Collector:
             "tilt": tilt,
             **{name: getattr(answer, name) for name in ("residual", "violation", "iterations", "method")},
             "times": tick.times,
+            "step": float(np.minimum(dP - preview.lower[preview.feet], preview.upper[preview.feet] - dP).min()),
         }
-        step = float(np.minimum(dP - preview.lower[preview.feet], preview.upper[preview.feet] - dP).min())
-        self._margins.append({**self._distances(state.q, effort, wrenches), "step": step})
         for name, value in row.items():
-            self._rows.setdefault(name, []).append(value)
+            self._rows[name].append(value)
 
-    def trace(self, note: str) -> WholeBodyTrace:
-        """Return the trace of all periods collected, with the reason `note` for an early end of the walk."""
-        controller = self._controller
-        columns = {name: np.array(rows) for name, rows in self._rows.items() if name != "method"}
+    def trace(self, plant: BodyPlant, note: str) -> WholeBodyTrace:
+        """Return the trace of all periods that the plant has completed.
+
+        Parameters
+        ----------
+        plant : BodyPlant
+            The plant after the last period.
+        note : str
+            Reason for an early end of the walk.
+
+        Raises
+        ------
+        DqwalkError
+            If there is none.
+        """
+        controller, forces = self._controller, [*self._forces[1:], (plant.effort, plant.wrenches)]  # after each state
+        count = sum(time < plant.state.time for time in self._rows["time"])
+        if not count:
+            raise DqwalkError(f"{self._scenario.name} ended before its first tick: {note or 'it is shorter than one'}")
+        columns: dict[str, Any] = {name: np.array(values[:count]) for name, values in self._rows.items()}
+        step, method, no_contact = columns.pop("step"), columns.pop("method"), np.full(6, np.nan)
+        margins = [self._distances(q, *each) for q, each in zip(columns["q"], forces[:count], strict=True)]
         return WholeBodyTrace(
             scenario=self._scenario,
             config=controller.config,
             model=controller.model,
             **columns,
-            method=tuple(map(str, self._rows["method"])),
-            margins={name: np.array([row[name] for row in self._margins]) for name in self._margins[0]},
+            effort=np.array([effort for effort, _ in forces[:count]]),
+            wrenches=np.array([[each.get(foot, no_contact) for foot in Foot] for _, each in forces[:count]]),
+            method=tuple(method.tolist()),
+            margins={name: np.array([row[name] for row in margins]) for name in margins[0]} | {"step": step},
             reactions=tuple(self.reactions),
             note=note,
-            again=False,
             origin=here(),
         )
-
-    def __len__(self) -> int:
-        return len(self._margins)
 
     def _distances(self, q: Array, effort: Array, wrenches: Mapping[Foot, Array]) -> dict[str, float]:
         """Return the least distance from each limit; the forces are those of the plant, not the planned ones."""
