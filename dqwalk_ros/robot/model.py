@@ -10,12 +10,13 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import functools
-import hashlib
 import math
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
 from dqwalk_ros.robot.urdf_file import LARGEST
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.cache import remembered
 from dqwalk_ros.support.errors import ConfigError, ModelError
 
 if TYPE_CHECKING:
@@ -88,6 +90,8 @@ class Body:
         [kg]
     com : ndarray, shape (3,)
         Centre of mass in the body's frame [m].
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass, in axes of the body's frame [kg m^2].
     """
 
     parent: int
@@ -96,6 +100,7 @@ class Body:
     axis: Array
     mass: float
     com: Array
+    inertia: Array
 
 
 @dataclass(frozen=True)
@@ -214,7 +219,11 @@ class RobotModel:
     @property
     def urdf_without_shapes(self) -> str:
         """`urdf` without visual and collision shapes."""
-        return Urdf(self.urdf, self.name).text(shapes=False)
+        root = ElementTree.fromstring(self.urdf)
+        for link in root.iter("link"):
+            for shape in [*link.iterfind("visual"), *link.iterfind("collision")]:
+                link.remove(shape)
+        return ElementTree.tostring(root, encoding="unicode")
 
     @property
     def mass(self) -> float:
@@ -251,7 +260,7 @@ def load_model(config: RobotConfig) -> RobotModel:
     with contextlib.suppress(OSError):  # `Urdf.load` says why it cannot be read
         data = path.read_bytes() if path.stat().st_size <= _REMEMBERED else b"xacro"
         if b"xacro" not in data:  # which may include other files
-            return _of_file(path, hashlib.sha256(data).digest(), config)
+            return _remembered(data, str(path), config, published=False)
     return _model(Urdf.load(path), config, published=False)
 
 
@@ -260,9 +269,14 @@ _REMEMBERED = 2**20
 
 
 @functools.lru_cache(maxsize=16)
-def _of_file(path: pathlib.Path, digest: bytes, config: RobotConfig) -> RobotModel:
-    """Return the model of a file of this content; studies, nodes and reports ask for the same one many times."""
-    return _model(Urdf.load(path), config, published=False)
+def _remembered(data: bytes, source: str, config: RobotConfig, *, published: bool) -> RobotModel:
+    """Return the model of a description, which studies, nodes and reports ask for many times.
+
+    It is remembered on disk, too: to import yourdfpy takes as long as everything else until a node starts.
+    """
+    code = [file.read_bytes() for file in sorted(pathlib.Path(__file__).parent.glob("*.py"))]
+    key = b"\0".join([data, *code, repr((source, config, published, version("yourdfpy"))).encode()])
+    return remembered("models", key, lambda: _model(Urdf(data, source), config, published=published))
 
 
 def parse_model(text: str, config: RobotConfig) -> RobotModel:
@@ -275,7 +289,7 @@ def parse_model(text: str, config: RobotConfig) -> RobotModel:
     ModelError
         As `load_model`.
     """
-    return _model(Urdf(text, "robot_description"), config, published=True)
+    return _remembered(text.encode(), "robot_description", config, published=True)
 
 
 def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
@@ -378,13 +392,15 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
     links = urdf.links
     moving: list[Joint] = []
     frames: dict[str, Frame] = {}
-    parts: list[list[tuple[float, Array]]] = [[]]
+    parts: list[list[tuple[float, Array, Array]]] = [[]]  # mass, CoM, inertia about it, in axes of the body
     tree: list[tuple[int, int, DQ, Array]] = [(-1, -1, DQ(1.0), np.zeros(3))]
 
     def attach(link: Link, body: int, pose: DQ) -> None:
         frames[link.name] = Frame(body, pose.vec8())
         if link.inertial.mass:
-            parts[body].append((link.inertial.mass, pose.transform_point(link.inertial.origin[:3, 3])))
+            R = pose.rotation_matrix()
+            inertia = R @ link.inertial.inertia @ R.T
+            parts[body].append((link.inertial.mass, pose.transform_point(link.inertial.origin[:3, 3]), inertia))
 
     attach(links[urdf.root], 0, DQ(1.0))
     waiting = [(joint, 0, DQ(1.0)) for joint in reversed(urdf.child_joints(urdf.root))]
@@ -405,9 +421,13 @@ def _tree(urdf: Urdf) -> dict[str, Any]:
 
     bodies = []
     for (parent, index, origin, axis), masses in zip(tree, parts, strict=True):
-        mass = sum(m for m, _ in masses)
-        com = sum((m * c for m, c in masses), np.zeros(3)) / mass if mass else np.zeros(3)
-        bodies.append(Body(parent, index, origin.vec8(), axis, mass, com))
+        mass = sum(m for m, _, _ in masses)
+        com = sum((m * c for m, c, _ in masses), np.zeros(3)) / mass if mass else np.zeros(3)
+        inertia = np.zeros((3, 3))
+        for m, c, own in masses:
+            arm = c - com
+            inertia += own + m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        bodies.append(Body(parent, index, origin.vec8(), axis, mass, com, inertia))
     limits = [_range(joint.limit.lower, joint.limit.upper) for joint in moving]
     return {
         "joint_names": tuple(joint.name for joint in moving),

@@ -348,14 +348,14 @@ class Urdf:
 
     # ------------------------------------------------------------------ writing
 
-    def text(self, *, shapes: bool = True) -> str:
-        """Return the URDF as a text, with or without the shapes of the links."""
+    def text(self) -> str:
+        """Return the URDF as a text."""
         import yourdfpy
 
         links = []
         for link in self.links.values():
             inertial = link.inertial if link.inertial.mass else None
-            links.append(yourdfpy.Link(link.name, inertial, *((link.visuals, link.collisions) if shapes else ())))
+            links.append(yourdfpy.Link(link.name, inertial, link.visuals, link.collisions))
         robot = yourdfpy.Robot(self.name, links, list(self.joints.values()))
         names = yourdfpy.filename_handler_null
         plain = yourdfpy.URDF(robot, build_scene_graph=False, load_meshes=False, filename_handler=names)

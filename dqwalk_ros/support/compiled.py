@@ -3,8 +3,6 @@
 Numba recompiles a cached function only when its own file changes, although its machine code contains the functions
 that it calls from other files. So the cache folder of a module is named after a `digest` of the module and of all that
 it imports: a change recompiles the functions of its module and of those that depend on it.
-
-Numba executes what it finds in the cache, so the cache is in a folder that no other user can have filled, or nowhere.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ import numpy as np
 from numba import extending, types
 from numba.core import cgutils, event
 
-from dqwalk_ros.support.own_folder import own_folder, temporary
+from dqwalk_ros.support.cache import cache_folder
 
 __all__ = [
     "COMPILING", "FLOAT", "INTEGER", "MASK", "MATRIX", "NOTHING", "VECTOR", "Signature", "digest", "jit", "record",
@@ -60,21 +58,12 @@ def digest(module: str) -> str:
     return hashlib.sha256("".join(text for text in texts if "jit" in text).encode()).hexdigest()[:16]
 
 
-def _cache_folder() -> pathlib.Path:
-    """Return the folder of the caches: in the user's cache folder, or in the temporary one where that is read-only."""
-    caches = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    try:
-        return own_folder(caches / "dqwalk_ros")
-    except OSError:
-        return own_folder(temporary())
-
-
 _CONFIG: Any = numba.config
 _folder: pathlib.Path | None = None  # numba's own choice
 _no_cache = ""
 if "NUMBA_CACHE_DIR" not in os.environ:
     try:
-        _folder = _cache_folder()
+        _folder = cache_folder()
     except OSError as error:
         _no_cache = f"; in each process, because there is no cache ({error.strerror}: '{error.filename}')"
 

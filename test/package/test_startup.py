@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from dqwalk_ros.config import load
+from dqwalk_ros.robot.model import load_model
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -51,7 +54,7 @@ IMPORTS = {
         "from dqwalk_ros.nodes.plant import Integrator\nfrom dqwalk_ros.robot.model import load_model\n"
         "from dqwalk_ros.config import load\nfrom dqwalk_ros.plants.kinematic import KinematicPlant\n"
         "KinematicPlant(load_model(load('paper').robot))",
-        ("numba",),
+        ("numba", "yourdfpy"),  # the model is remembered
     ),
     "nodes": (
         "import dqwalk_ros.nodes.controller, dqwalk_ros.nodes.phase_monitor",
@@ -66,6 +69,7 @@ IMPORTS = {
 @pytest.mark.parametrize("name", IMPORTS)
 def test_modules_are_imported_when_needed(name):
     code, unused = IMPORTS[name]
+    load_model(load("paper").robot)
     shown = python(f"{code}\nimport sys\nprint([name for name in {unused!r} if name in sys.modules])").stdout
     assert shown.splitlines()[-1] == "[]"
 

@@ -96,6 +96,16 @@ def test_soles_are_flat_and_side_by_side_at_zero_angles(robot, foot):
     assert kin.com[2] > 0.15
 
 
+def test_a_changed_file_is_read_again(tmp_path):
+    """Although the model of its former content is remembered, in this process and on disk."""
+    path = edited(tmp_path, POPPY)
+    config = RobotConfig(urdf=str(path))
+    before = load_model(config)
+    assert load_model(config) is before
+    path.write_text(path.read_text().replace('name="poppy_humanoid"', 'name="another"'))
+    assert load_model(config).name == "another"
+
+
 # ---------------------------------------------------------------------- subsets of joints
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros.config import Config, RobotConfig, load
-from dqwalk_ros.robot.model import Body, Frame, RobotModel, load_model
+from dqwalk_ros.robot.model import Frame, RobotModel, load_model
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -57,7 +57,14 @@ def mirrored(model: RobotModel) -> RobotModel:
     reflect = np.array([1.0, -1.0, 1.0])
     pose = np.array([1.0, -1.0, 1.0, -1.0, -1.0, 1.0, -1.0, 1.0])
     bodies = tuple(
-        Body(b.parent, b.joint, pose * b.origin, -reflect * b.axis, b.mass, reflect * b.com) for b in model.bodies
+        dataclasses.replace(
+            body,
+            origin=pose * body.origin,
+            axis=-reflect * body.axis,
+            com=reflect * body.com,
+            inertia=np.outer(reflect, reflect) * body.inertia,
+        )
+        for body in model.bodies
     )
     frames = {name: Frame(frame.body, pose * frame.pose) for name, frame in model.frames.items()}
     soles = {foot.other: dataclasses.replace(sole, center=reflect * sole.center) for foot, sole in model.soles.items()}

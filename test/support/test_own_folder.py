@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from dqwalk_ros.support.compiled import _cache_folder
+from dqwalk_ros.support.cache import cache_folder
 from dqwalk_ros.support.own_folder import lock, own_folder, temporary
 
 
@@ -102,7 +102,7 @@ def homeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_without_a_home_the_cache_is_in_the_temporary_folder(homeless: Path) -> None:
-    assert _cache_folder() == homeless / f"dqwalk_ros-{os.getuid()}"
+    assert cache_folder() == homeless / f"dqwalk_ros-{os.getuid()}"
     assert [path.name for path in homeless.iterdir()] == [f"dqwalk_ros-{os.getuid()}"]
 
 
@@ -110,10 +110,8 @@ def test_without_a_home_the_cache_is_in_the_temporary_folder(homeless: Path) -> 
 def test_a_prepared_cache_is_not_used(how: str, homeless: Path) -> None:
     PREPARED[how](temporary())
     with pytest.raises(PermissionError, match="others can have filled"):
-        _cache_folder()
-    code = (
-        "import dqwalk_ros.support.compiled as c; print(c.numba.config.CACHE_DIR, type(c.jit(c._cache_folder)._cache))"
-    )
+        cache_folder()
+    code = "import dqwalk_ros.support.compiled as c; print(c.numba.config.CACHE_DIR, type(c.jit(c.record)._cache))"
     environment = {"PATH": os.environ["PATH"], "TMPDIR": str(homeless), "XDG_CACHE_HOME": "/dev/null"}
     shown = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert shown.stdout.split() == ["<class", "'numba.core.caching.NullCache'>"]

@@ -473,13 +473,12 @@ def test_pushes_of_every_direction_at_every_part_of_a_step(
 def test_no_file_is_parsed_during_a_walk(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The URDF, for the pendulum, took 60 ms as the first single support began; walks in real time stopped."""
     config = overlaid(dq.load(name), "physics")
-    model = dataclasses.replace(MODEL)  # nothing about it is known yet
-    controller, plant = make_controller(config, model), make_plant("physics", config, model)
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
 
     def parse(*_: object) -> None:
         pytest.fail("a file is parsed")
 
-    for module in ("walks.dynamic.pendulum.Urdf", "walks.dynamic.recovery.load", "support.strict_yaml.read"):
+    for module in ("robot.urdf.Urdf.__init__", "walks.dynamic.recovery.load", "support.strict_yaml.read"):
         monkeypatch.setattr(f"dqwalk_ros.{module}", parse)
     for state, _ in closed_loop(controller, plant):
         if controller.phase.kind is PhaseKind.SINGLE_SUPPORT and state.time > controller.phase_began + 0.1:

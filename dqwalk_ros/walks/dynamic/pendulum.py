@@ -8,24 +8,19 @@ robot that tilts sideways instead of shifting its hips is a slower pendulum than
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.urdf import Urdf
+from dqwalk_ros.robot.model import Body
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
-
-if TYPE_CHECKING:
-    from yourdfpy import Link
 
 __all__ = ["InvertedPendulum", "Pendulum", "angular_momentum", "swing_inertia"]
 
@@ -38,10 +33,9 @@ def angular_momentum(kin: Kinematics) -> Array:
     """Return L_u with the angular momentum L = L_u u about the CoM, shape (3, n) [kg m^2]; the base sole is at rest."""
     model, J_com = kin.model, kin.com_jacobian
     L = np.zeros(J_com.shape)
-    for link in _links(model):
-        mass, com = link.inertial.mass, link.inertial.origin[:3, 3]
-        arm, J = kin.point(link.name, com) - kin.com, kin.point_jacobian(link.name, com)
-        L += mass * np.cross(arm, (J - J_com).T).T + _inertia(kin, link) @ kin.angular_jacobian(link.name)
+    for name, body in zip(model.links, model.bodies, strict=True):
+        arm, J = kin.point(name, body.com) - kin.com, kin.point_jacobian(name, body.com)
+        L += body.mass * np.cross(arm, (J - J_com).T).T + _inertia(kin, name, body) @ kin.angular_jacobian(name)
     return L
 
 
@@ -53,24 +47,16 @@ def swing_inertia(kin: Kinematics) -> Array:
     model, tree = kin.model, kin.tree
     moved, above = (tree.moves[tree.frames[frame][0]] for frame in (kin.swing, model.pelvis))
     leg, M = moved & ~above, np.zeros((model.n, model.n))
-    for link in _links(model):
-        mass, com = link.inertial.mass, link.inertial.origin[:3, 3]
-        J, turning = kin.point_jacobian(link.name, com) * leg, kin.angular_jacobian(link.name) * leg
-        M += mass * J.T @ J + turning.T @ _inertia(kin, link) @ turning
+    for name, body in zip(model.links, model.bodies, strict=True):
+        J, turning = kin.point_jacobian(name, body.com) * leg, kin.angular_jacobian(name) * leg
+        M += body.mass * J.T @ J + turning.T @ _inertia(kin, name, body) @ turning
     return M
 
 
-@functools.lru_cache(maxsize=16)
-def _links(model: RobotModel) -> tuple[Link, ...]:
-    """Return the links that have a mass; computed once per model, because the URDF is parsed."""
-    links = Urdf(model.urdf, model.name).links.values()
-    return tuple(link for link in links if link.inertial.mass > 0.0 and link.name in model.frames)
-
-
-def _inertia(kin: Kinematics, link: Link) -> Array:
-    """Return the inertia of a link about its CoM in axes of the base frame, shape (3, 3) [kg m^2]."""
-    R = np.column_stack([kin.direction(link.name, axis) for axis in np.eye(3)])
-    inertia: Array = R @ link.inertial.inertia @ R.T
+def _inertia(kin: Kinematics, frame: str, body: Body) -> Array:
+    """Return the inertia of a body about its CoM in axes of the base frame, shape (3, 3) [kg m^2]."""
+    R = np.column_stack([kin.direction(frame, axis) for axis in np.eye(3)])
+    inertia: Array = R @ body.inertia @ R.T
     return inertia
 
 
