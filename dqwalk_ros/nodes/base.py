@@ -184,9 +184,7 @@ class WalkNode(Node):
             message=message,
             values=[KeyValue(key=key, value=text) for key, text in texts.items()],
         )
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = ros.time_msg(stamp)
-        self._diagnostics.publish(msg)
+        self._diagnostics.publish(DiagnosticArray(header=ros.header(stamp), status=[status]))
 
     def report(self, **values: Any) -> None:
         """Print one line of JSON for the program that started this node (see `dqwalk_ros.cli.runner`)."""

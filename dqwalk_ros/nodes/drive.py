@@ -238,9 +238,8 @@ class RobotDrive(WalkNode):
             point = JointTrajectoryPoint(positions=data, time_from_start=after)
             self._output.publish(JointTrajectory(joint_names=list(self._joints), points=[point]))  # stamp 0: at once
         else:
-            msg = JointState(name=list(self._joints), **{o.interface: data})
-            msg.header.stamp = ros.time_msg(self._stamp)
-            self._output.publish(msg)
+            header = ros.header(self._stamp)
+            self._output.publish(JointState(header=header, name=list(self._joints), **{o.interface: data}))
 
     def _diagnose(self) -> None:
         level, text = self._commands.level()

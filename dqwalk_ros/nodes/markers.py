@@ -7,7 +7,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.nodes.messages import pose_fields, time_msg, xyz
+from dqwalk_ros.nodes.messages import header, pose_fields, xyz
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase
@@ -41,8 +41,7 @@ def markers(stamp: int, config: Config, model: RobotModel, phase: Phase, kin: Ki
     clear = Marker(action=Marker.DELETEALL)
     clear.header.frame_id = frame = model.soles[phase.base].frame
     for index, marker in enumerate(shapes):
-        marker.header.stamp, marker.header.frame_id = time_msg(stamp), frame
-        marker.id = index
+        marker.header, marker.id = header(stamp, frame), index
     return MarkerArray(markers=[clear, *shapes])
 
 

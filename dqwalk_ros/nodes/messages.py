@@ -17,6 +17,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header
 
 from dqwalk_ros.nodes.safety import JointOrder
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -26,26 +27,10 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 
 __all__ = [
-    "JointReader",
-    "JointWriter",
-    "best_effort",
-    "checked_pose",
-    "deserialized",
-    "impulse",
-    "imu",
-    "inertial_of",
-    "is_frame_of",
-    "is_heard_by",
-    "latched",
-    "message_type",
-    "nanoseconds",
-    "point",
-    "pose",
-    "publishers_of",
-    "stamp_of",
-    "time_msg",
-    "wrench",
-]
+    "JointReader", "JointWriter", "best_effort", "checked_pose", "deserialized", "header", "impulse", "imu",
+    "inertial_of", "is_frame_of", "is_heard_by", "latched", "message_type", "nanoseconds", "point", "pose",
+    "publishers_of", "stamp_of", "time_msg", "wrench",
+]  # fmt: skip
 
 
 def best_effort(depth: int) -> QoSProfile:
@@ -88,6 +73,11 @@ def time_msg(stamp: int) -> Time:
     """Return the message of a stamp [ns]."""
     sec, nanosec = divmod(stamp, 1_000_000_000)
     return Time(sec=sec, nanosec=nanosec)
+
+
+def header(stamp: int, frame: str = "") -> Header:
+    """Return the header of a message with a stamp [ns] and a frame."""
+    return Header(stamp=time_msg(stamp), frame_id=frame)
 
 
 def stamp_of(raw: bytes) -> int:
@@ -226,9 +216,7 @@ def pose_fields(x: Array) -> Pose:
 
 def pose(stamp: int, frame: str, x: Array) -> PoseStamped:
     """Return a PoseStamped of the unit dual quaternion `x` (8,)."""
-    msg = PoseStamped(pose=pose_fields(x))
-    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
-    return msg
+    return PoseStamped(header=header(stamp, frame), pose=pose_fields(x))
 
 
 def pose_dq(msg: PoseStamped) -> Array:
@@ -259,9 +247,7 @@ def xyz(p: Array) -> Point:
 
 def point(stamp: int, frame: str, p: Array) -> PointStamped:
     """Return a PointStamped of a vector (3,) [m]."""
-    msg = PointStamped(point=xyz(p))
-    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
-    return msg
+    return PointStamped(header=header(stamp, frame), point=xyz(p))
 
 
 # ---------------------------------------------------------------------- inertial sensor, ground
@@ -269,8 +255,7 @@ def point(stamp: int, frame: str, p: Array) -> PointStamped:
 
 def imu(stamp: int, frame: str, measured: Inertial) -> Imu:
     """Return the message of an inertial sensor with a stamp [ns]."""
-    msg = Imu()
-    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
+    msg = Imu(header=header(stamp, frame))
     r, w, a = msg.orientation, msg.angular_velocity, msg.linear_acceleration
     r.w, r.x, r.y, r.z = measured.orientation.tolist()
     w.x, w.y, w.z = measured.gyro.tolist()
@@ -307,8 +292,7 @@ def inertial_of(msg: Imu) -> tuple[Array, Array, Array | None]:
 
 def wrench(stamp: int, frame: str, w: Array) -> WrenchStamped:
     """Return a WrenchStamped of force and torque (6,) [N, N m]."""
-    msg = WrenchStamped()
-    msg.header.stamp, msg.header.frame_id = time_msg(stamp), frame
+    msg = WrenchStamped(header=header(stamp, frame))
     f, t = msg.wrench.force, msg.wrench.torque
     f.x, f.y, f.z, t.x, t.y, t.z = w.tolist()
     return msg

@@ -171,12 +171,10 @@ class Odometry:
         return None
 
     def _message(self, stamp: int, x: DQ) -> OdometryMessage:
-        msg = OdometryMessage(child_frame_id=self._config.base_frame)
-        msg.header.stamp, msg.header.frame_id = ros.time_msg(stamp), self._config.odom_frame
+        c = self._config
+        msg = OdometryMessage(header=ros.header(stamp, c.odom_frame), child_frame_id=c.base_frame)
         msg.pose.pose = ros.pose_fields(x.vec8())
-        walked, turned = (
-            math.sqrt(self._steps) * d for d in (self._config.step_deviation, self._config.turn_deviation)
-        )
+        walked, turned = (math.sqrt(self._steps) * d for d in (c.step_deviation, c.turn_deviation))
         deviations = np.array([walked, walked, 0.0, 0.0, 0.0, turned])  # x, y, z, roll, pitch, yaw
         of_pose, of_twist, twist = np.diag(deviations**2 + _FIXED**2), np.diag(np.full(6, _FIXED**2)), self._velocity()
         if (e := self._estimated) is not None:
@@ -211,8 +209,7 @@ class Odometry:
 
 
 def _transform(stamp: int, parent: str, child: str, x: DQ) -> TransformStamped:
-    msg = TransformStamped(child_frame_id=child)
-    msg.header.stamp, msg.header.frame_id = ros.time_msg(stamp), parent
+    msg = TransformStamped(header=ros.header(stamp, parent), child_frame_id=child)
     pose, moved = ros.pose_fields(x.vec8()), msg.transform.translation
     moved.x, moved.y, moved.z = pose.position.x, pose.position.y, pose.position.z
     msg.transform.rotation = pose.orientation

@@ -163,8 +163,7 @@ class PhaseMonitor(WalkNode):
         if self._pub["com"].get_subscription_count():
             self._pub["com"].publish(ros.point(stamp, frame, kin.com))
         if self._pub["support_polygon"].get_subscription_count():
-            msg = PolygonStamped()
-            msg.header.stamp, msg.header.frame_id = ros.time_msg(stamp), frame
+            msg = PolygonStamped(header=ros.header(stamp, frame))
             vertices = support_polygon(model, phase, kin).vertices
             msg.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in vertices]
             self._pub["support_polygon"].publish(msg)

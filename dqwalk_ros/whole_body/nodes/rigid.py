@@ -120,7 +120,7 @@ class Rigid(SimulatedPlant):
             except DqwalkError as error:
                 log.error(f"push rejected: {error}")
                 continue
-            msg.header.stamp, msg.header.frame_id = ros.time_msg(self._stamp), ODOM
+            msg.header = ros.header(self._stamp, ODOM)
             self._pub["push_applied"].publish(msg)
             log.info("pushed: {:g}, {:g}, {:g} N s".format(*impulse))
         self._pushes.clear()
@@ -129,8 +129,7 @@ class Rigid(SimulatedPlant):
         """Publish the state in its three messages."""
         s = self.plant.state
         self._pub["base_pose"].publish(ros.pose(self._stamp, ODOM, s.x_base))
-        twist = TwistStamped()
-        twist.header.stamp, twist.header.frame_id = ros.time_msg(self._stamp), self.config.robot.pelvis
+        twist = TwistStamped(header=ros.header(self._stamp, self.config.robot.pelvis))
         linear, angular = twist.twist.linear, twist.twist.angular
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = s.v_base.tolist()
         self._pub["base_twist"].publish(twist)
