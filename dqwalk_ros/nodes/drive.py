@@ -81,6 +81,8 @@ class RobotDrive(WalkNode):
 
     Sections of the schema: dt, robot, plant, servo, monitor.rate, safety.outside, output.
 
+    The defaults are those of config/plants/ros2_control.yaml.
+
     Example::
 
         dqwalk_drive --ros-args --params-file config/poppy.yaml -p output.interface:=velocity
