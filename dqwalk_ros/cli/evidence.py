@@ -29,6 +29,7 @@ a file of rows is a list such as
       set: {gait.steps: 20}
       params: [rough]                 # as of --params
       cmd_vel: ["0.1,0,0.25,8"]       # as of --cmd-vel
+      hands: 2.0                      # each hand gets a random pose every 2 s; needs params: [arms]
       seeds: 20                       # walks with sensors.seed 1 to 20; first: 101 for 101 to 120
     - {name: pushes of 0.50 N s, config: poppy_dynamic, push: 0.5}   # 8 directions, 2 feet, 4 moments of a step
 
@@ -38,6 +39,7 @@ writes to the folder of --out:
 
 examples:
   dqwalk evidence ground                                         110 walks on uneven ground in each engine
+  dqwalk evidence arms                                           free arms, loads, and random poses of the hands
   dqwalk evidence --sample 2                                     a sample: two walks of each row in each engine
   dqwalk evidence --engine physics --jobs 8                      without Drake
   dqwalk evidence mine.yaml --scheduler tcp://127.0.0.1:8786

@@ -6,14 +6,18 @@ import functools
 import itertools
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 
 from dqwalk_ros import report
 from dqwalk_ros.config import Config, find_share, load, overlaid, put_on
+from dqwalk_ros.controller import VelocityController
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.metrics import shortfall
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller, make_plant, simulate, walk_type
@@ -23,11 +27,14 @@ from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, listed
 from dqwalk_ros.walks.course import Course
+from dqwalk_ros.walks.stepping import SteppingWalk
 
 __all__ = ["Outcome", "Row", "bounds", "collect", "points", "read"]
 
 CONFIDENCE = 0.95
 """Probability with which the bounds of `bounds` contain the true chance."""
+_REACH = 1.0
+"""Largest distance of an arm's joint from its posture at the random poses of its hand [rad]."""
 _DIRECTIONS, _PARTS = 8, (0.1, 0.25, 0.5, 0.75)
 """Of the pushes of a row: evenly spread directions, and fractions of a step after which they begin."""
 
@@ -53,6 +60,8 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seeds : int
         Number of walks, with ``sensors.seed`` `first`, `first` + 1, ...
     first : int
+    hands : float
+        Interval after which each hand gets a new random pose in the trunk [s]; 0: none. Needs ``arms.joints``.
     push : float
         Impulse of each push [N s], in 8 directions, on either foot, at 4 moments of a step; 0: walks without a push.
     """
@@ -66,6 +75,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cmd_vel: list[str] = []
     seeds: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 20
     first: Annotated[int, msgspec.Meta(ge=0, le=10**6)] = 1
+    hands: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
     push: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
 
     def made(self) -> Config:
@@ -81,6 +91,8 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         made = made.updated(({"gait.steps": 0} if self.cmd_vel else {}) | self.set, source=self.name)
         if self.cmd_vel and walk_type(made).phases(made):
             raise ConfigError(f"{self.name}: cmd_vel steers a standing or dynamic walk with gait.steps: 0")
+        if self.hands and not (made.arms.left_hand or made.arms.right_hand):
+            raise ConfigError(f"{self.name}: hands need free arms: arms.joints with arms.left_hand or arms.right_hand")
         return made
 
 
@@ -166,8 +178,15 @@ def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int
         config = config.updated({"sensors.seed": point["seed"]})
         model = load_model(config.robot)
         controller, course = make_controller(config, model), Course.parse(row.cmd_vel)
-        steer = course.steering(controller) if row.cmd_vel else None
-        trace = simulate(controller, make_plant(point["engine"], config, model), before_step=steer)
+        orders = [course.steering(controller)] if row.cmd_vel else []
+        if row.hands:
+            orders.append(_reaching(controller, row.hands, point["seed"]))
+
+        def before_step(time: float) -> None:
+            for order in orders:
+                order(time)
+
+        trace = simulate(controller, make_plant(point["engine"], config, model), before_step=before_step)
         if trace.interrupted:
             raise KeyboardInterrupt  # an interrupted walk has no outcome
         found = report.report(report.analyse(trace))
@@ -180,6 +199,29 @@ def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int
     seconds = float(trace.time[-1] - trace.time[0])
     landing, speed = found["walk"]["landing_error"], of["way"] / seconds if seconds > 0.0 else None
     return Outcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed)
+
+
+def _reaching(controller: VelocityController, interval: float, seed: int) -> Callable[[float], None]:
+    """Return what gives each hand of a walk a pose in the trunk after every interval [s].
+
+    The poses are those at random angles of the arms within `_REACH` of their posture.
+    """
+    walk, model, rng = controller.walk, controller.model, np.random.default_rng(seed)
+    assert isinstance(walk, SteppingWalk)
+    assert walk.arms is not None
+    arms, count = walk.arms, 0
+
+    def order(time: float) -> None:
+        nonlocal count
+        if time < count * interval:
+            return
+        count += 1
+        for side in arms.hands:
+            q = walk.posture + rng.uniform(-_REACH, _REACH, model.n)
+            kin = Kinematics(model, np.clip(q, model.q_min, model.q_max), Foot.LEFT)
+            arms.reach(side, arms.pose_in_trunk(side, kin), arms.hands[side].trunk)
+
+    return order
 
 
 def collect(

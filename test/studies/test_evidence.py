@@ -6,10 +6,13 @@ import math
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from dqwalk_ros import cli
 from dqwalk_ros.cli.evidence import table
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.studies import evidence, robustness
 from dqwalk_ros.studies.evidence import Outcome, Row, bounds, points, read
 from dqwalk_ros.support.errors import ConfigError
@@ -25,6 +28,26 @@ def test_the_shipped_rows_are_valid_and_each_is_walked_in_every_engine() -> None
     }
     assert kept["physics"] == kept["drake"]  # the same seeds and pushes
     assert all(one in every for one in sample)
+
+
+def test_the_hands_get_a_new_random_pose_after_every_interval() -> None:
+    row = read("arms")["random poses"]
+    config = row.made()
+    model = load_model(config.robot)
+    poses = []
+    for seed in (1, 1, 2):
+        controller = make_controller(config, model)
+        order, hands = evidence._reaching(controller, 2.0, seed), controller.walk.arms.hands
+        for time in (0.0, 1.9, 2.0):
+            order(time)
+            poses.append([hand.pose.translation() for hand in hands.values()])
+    first, same, new, *rest = np.array(poses)
+    assert (first == same).all()
+    assert (first != new).all()
+    assert (np.array(rest[:3]) == poses[:3]).all()  # the seed decides
+    assert (rest[3] != first).all()
+    with pytest.raises(ConfigError, match="hands need free arms"):
+        Row("locked", "poppy_dynamic", hands=2.0).made()
 
 
 @pytest.mark.parametrize(("count", "total"), [(0, 20), (3, 20), (20, 20), (36, 40)])
