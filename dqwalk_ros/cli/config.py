@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import command, config_of, parse_overrides, set_option
+from dqwalk_ros.cli.options import command, config_of, params_option, parse_overrides, set_option
 from dqwalk_ros.support.errors import ConfigError, listed
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from dqwalk_ros.config import Config, Spec
 
 __all__ = ["config"]
@@ -23,14 +25,23 @@ examples:
   dqwalk config paper > mine.yaml                          start a configuration of your own
   dqwalk config mine.yaml --check                          is it valid?
   dqwalk config paper --set gait.step_length=0.04
+  dqwalk config poppy_dynamic --params arms > mine.yaml    with a file of config/overlays
   dqwalk config poppy --set 'collision.pairs=[l_shin=r_shin]' --capsules     their shapes, for your file
 """)
 @click.argument("config", required=False)
 @click.option("--section", metavar="NAME", help="List one section only.")
 @click.option("--check", is_flag=True, help="Only check that it is valid and fits its robot.")
 @click.option("--capsules", is_flag=True, help="Print collision.capsules for the links of collision.pairs.")
+@params_option
 @set_option
-def config(config: str | None, section: str | None, check: bool, capsules: bool, changes: tuple[str, ...]) -> int:
+def config(
+    config: str | None,
+    section: str | None,
+    check: bool,
+    capsules: bool,
+    params: tuple[Path, ...],
+    changes: tuple[str, ...],
+) -> int:
     """List, check or print parameters.
 
     Without CONFIG: the list of all parameters. With CONFIG, the name of a shipped configuration or the path of a YAML
@@ -40,8 +51,10 @@ def config(config: str | None, section: str | None, check: bool, capsules: bool,
 
     if config is not None and section is not None:
         raise ConfigError("--section belongs to the list of all parameters; leave out CONFIG")
+    if config is None and params:
+        raise ConfigError("--params changes a configuration; name it, such as dqwalk config poppy --params arms")
     if config is not None:
-        made = config_of(config, changes)
+        made = config_of(config, changes, params=params)
         if capsules:
             return _capsules(made)
         if not check:

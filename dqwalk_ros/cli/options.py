@@ -123,7 +123,7 @@ params_option = click.option(
     metavar="FILE",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="Further parameter file, such as that of `dqwalk identify`, or 'rough' for a walk on rubble; may be repeated.",
+    help="Further parameter file, such as that of `dqwalk identify`, or a name in config/overlays; may be repeated.",
 )
 force_option = click.option("--force", is_flag=True, help="Replace earlier results.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print no progress and no tables.")
