@@ -17,7 +17,7 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.report.binding import limits_at
-from dqwalk_ros.report.metrics import commanded_way, middle, shortfall
+from dqwalk_ros.report.metrics import TIPPED, commanded_way, middle, shortfall
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
@@ -153,7 +153,8 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
     except DqwalkError as error:
         return Outcome(False, time, len(landed), str(error), tilt, load or None, joint, reached)
     way = float(np.linalg.norm(np.diff(stands, axis=0), axis=1).sum())
-    reason = shortfall(way, commanded_way(landed)) if controller.finished else f"fell in {controller.phase.name}"
+    upright = controller.finished and tilt < TIPPED
+    reason = shortfall(way, commanded_way(landed)) if upright else f"fell in {controller.phase.name}"
     return Outcome(not reason, time, len(landed), reason, tilt, load or None, joint, reached)
 
 

@@ -122,16 +122,18 @@ class SteppingWalk(Walk):
     def _next_footprint(self, kin: Kinematics) -> Array:
         """Take the next commanded footprint, (8,) in the frame of its support sole, at the end of a double support.
 
-        `kin` is in the frame of the other sole. What the support foot has missed, up to ``gait.footstep_tolerance``, is
-        made up for, so that the errors of the landings do not add up.
+        `kin` is in the frame of the other sole. What the support foot has missed is made up for, so that the errors of
+        the landings do not add up: by up to ``gait.footstep_tolerance`` in this step, and the rest in the next ones.
         """
-        footprint = DQ(self._planned.popleft())
+        footprint, back = DQ(self._planned.popleft()), DQ(1.0)
         if self._aimed is not None:
             missed = DQ(flat(kin.pose(kin.swing))).conj() * DQ(flat(self._aimed))
-            if np.linalg.norm(missed.translation()) <= self.config.gait.footstep_tolerance:
-                footprint = missed * footprint
+            off, most = missed.translation(), self.config.gait.footstep_tolerance
+            footprint = missed * footprint
+            if (far := float(np.linalg.norm(off))) > most:
+                back = DQ.from_pose((most / far - 1.0) * off)
         self._aimed = footprint.vec8()
-        return self._aimed
+        return (back * footprint).vec8()
 
     @property
     def placed(self) -> int:

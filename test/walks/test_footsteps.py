@@ -98,15 +98,25 @@ def test_footsteps_need_a_walk_without_other_steps() -> None:
         DynamicWalk(DYNAMIC.updated({"gait.footsteps": ("0 0 0 0",), "gait.steps": 20}), MODEL).prepare()
 
 
-def test_the_next_footstep_makes_up_for_what_a_landing_has_missed() -> None:
-    walk = stairs("0.05 0 0 0", "0.05 0 0 0", "0.05 0 0 0")
+def test_the_next_footsteps_make_up_for_what_a_landing_has_missed() -> None:
+    walk = stairs(*["0.05 0 0 0"] * 4)
     walk.prepare()
     kin = Kinematics(MODEL, walk.posture, Foot.LEFT)
-    first = DQ(walk._next_footprint(kin))
-    missed = turned(-0.004, 0.002, 0.01)  # the landed sole in its footprint
-    second = DQ(walk._next_footprint(SimpleNamespace(swing="r_sole", pose=lambda _: (first * missed).vec8())))
-    wanted = DQ(walk.footsteps.wanted(Foot.RIGHT, 0.05, 0.0, 0.0))
-    np.testing.assert_allclose((missed * second).vec8(), wanted.vec8(), atol=5e-4)  # moved into reach by so much
+
+    def following(last: DQ, missed: DQ) -> DQ:
+        """Return the next footprint, in the frame of the sole that has landed off its footprint `last` by `missed`."""
+        landed = SimpleNamespace(swing="", pose=lambda _: (last * missed).vec8())
+        return DQ(walk._next_footprint(landed))  # type: ignore[arg-type]
+
+    wanted = [DQ(walk.footsteps.wanted(foot, 0.05, 0.0, 0.0)) for foot in (Foot.RIGHT, Foot.LEFT)]
+    missed = turned(-0.004, 0.002, 0.01)
+    second = following(DQ(walk._next_footprint(kin)), missed)
+    np.testing.assert_allclose((missed * second).vec8(), wanted[0].vec8(), atol=5e-4)  # moved into reach by so much
+    missed = turned(-0.025, 0.0)  # 10 mm are the most in a step
+    third = following(second, missed)
+    fourth = following(third, DQ(1.0))
+    ahead = [float(x.translation()[0]) for x in (third, fourth)]
+    assert ahead == pytest.approx([0.05 + 0.01, 0.05 + 0.01], abs=1e-3)
 
 
 @pytest.mark.parametrize("up", [0.025, -0.025])

@@ -180,7 +180,7 @@ class DynamicWalk(SteppingWalk):
         self._done += 1
         if self._planned:
             return Next(PhaseKind.SINGLE_SUPPORT, phase.support, self._next_footprint(kin))
-        footprint = self.footsteps.wanted(phase.support, *self._step_now.tolist())
+        footprint, self._aimed = self.footsteps.wanted(phase.support, *self._step_now.tolist()), None
         return Next(PhaseKind.SINGLE_SUPPORT, phase.support, footprint)
 
     def pause(self, wanted: bool) -> None:
@@ -477,9 +477,11 @@ class DynamicWalk(SteppingWalk):
         reference = Pressed(support.first, support.last, end, rule.duration, omega)
         sole, landing = self.model.soles[phase.base], self._aim(phase.base.other, Footprint.of(target))
         half = 0.5 * np.array([sole.length, sole.width]) - d.catch_margin
+        # a commanded footprint is where there is room for a foot, such as on a stair
+        ahead = min(d.catch_length, self.config.gait.footstep_tolerance) if self._aimed is not None else d.catch_length
         step = Step(
             z=support.aim, landing=landing, offset=end - landing, duration=rule.duration, omega=omega,
-            low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([d.catch_length, d.catch_side]),
+            low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([ahead, d.catch_side]),
         )  # fmt: skip
         descends, self._descends = self._descends, False
         start = (DQ(self._ground.tip(kin.up)).conj() * DQ(kin.pose(kin.swing))).vec8()
