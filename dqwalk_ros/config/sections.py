@@ -248,6 +248,9 @@ class CollisionConfig:
     )
     margin: float = parameter(0.005, "distance kept between the capsules; larger: safer", "m", 0.0, 0.5)
     eta: float = parameter(5.0, "rate of the distances; larger: faster approach", "1/s", 1e-3, 1e4)
+    near: float = parameter(
+        0.025, "distance beyond the margin from which on a pair costs no row; larger: earlier", "m", 1e-3, 10.0
+    )
     recovery: float = parameter(0.05, "largest speed at which a violation is corrected", "m/s", 1e-4, 1e3)
 
 

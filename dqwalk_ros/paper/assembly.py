@@ -8,6 +8,7 @@ all use this code.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -246,6 +247,9 @@ class Assembly:
         counts = [len(group) for group in names]
         self.rows = np.repeat([[c.bound, c.eta, c.return_speed] for c in every], counts, axis=0).T.copy()
         self.spans = {c.name: span for c, span in zip(every, _slices(counts), strict=True)}
+        near = np.repeat([c.near for c in constraints], counts[:-2])
+        self._enters = self.rows[0, : len(near)] + near  # distances below which the rows enter the program
+        self._always = not np.isfinite(near).any()
         self.equality_rows = sum(counts[: len(equalities)])
 
         stacked: tuple[Quantity, ...] = (*tasks, *every)
@@ -307,7 +311,12 @@ class Assembly:
             q, up, elapsed, _ANY if dt is None else dt, self._unlimited if velocity is None else velocity,
             self._tree, self._bodies, self._watched, self._stack, self._form, values, J, numbers,
         )  # fmt: skip
-        return Evaluation(self, values, J, Problem(*numbers, self.names), error)
+        problem = Problem(*numbers, self.names)
+        if not self._always:
+            kept = ~(values[r:k] >= self._enters)  # also what is not a number
+            names = itertools.compress(self.names, [*kept, *[True] * (2 * n)])
+            problem = problem._replace(W=problem.W[kept], w=w[kept], names=tuple(names))
+        return Evaluation(self, values, J, problem, error)
 
     def error(self, kin: Kinematics, elapsed: float) -> float:
         """Return the norm of the first task's error, `elapsed` [s] after the phase began, without the program."""

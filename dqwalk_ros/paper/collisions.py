@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -140,6 +140,7 @@ def capsules_in(config: Config, model: RobotModel) -> tuple[CapsulesApart, ...]:
         If an entry is not valid, or a link has no capsule; the message names it.
     """
     c, shapes = config.collision, {}
+    given: dict[str, Any] = {"eta": c.eta, "bound": c.margin, "return_speed": c.recovery, "near": c.near}
     for entry in c.capsules:
         link, _, text = (part.strip() for part in entry.partition("="))
         try:
@@ -163,8 +164,7 @@ def capsules_in(config: Config, model: RobotModel) -> tuple[CapsulesApart, ...]:
         if len(links) != 2 or model.frames[links[0]].body == model.frames[links[1]].body:
             raise ConfigError(f"collision.pairs has '{entry}'; it must be LINK=LINK, which move against each other")
         one, other = (shapes[link] for link in links)
-        name = f"apart_{links[0]}_{links[1]}"
-        out.append(CapsulesApart(name=name, eta=c.eta, bound=c.margin, return_speed=c.recovery, one=one, other=other))
+        out.append(CapsulesApart(name=f"apart_{links[0]}_{links[1]}", one=one, other=other, **given))
     return tuple(out)
 
 

@@ -121,6 +121,8 @@ class Constraint(Quantity):
     return_speed : float
         Largest speed at which a distance below its bound is required to return [unit of the distance per second]. It
         keeps the quadratic program feasible after a disturbance that violates the constraint.
+    near : float
+        Distance above its bound from which on an inequality is not part of the quadratic program; by default always.
     look : Look
     unit : str
         Of its `margin`, ``m`` or ``rad``.
@@ -129,6 +131,7 @@ class Constraint(Quantity):
     eta: float
     bound: float = 0.0
     return_speed: float = math.inf
+    near: float = math.inf
     look: Look = PLAIN
     unit: ClassVar[Literal["m", "rad"]] = "m"
 

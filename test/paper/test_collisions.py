@@ -23,8 +23,9 @@ from dqwalk_ros.paper.collisions import (
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Direction, Point
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.robot.shapes import capsule_around
-from dqwalk_ros.simulation import make_controller, simulate
+from dqwalk_ros.simulation import make_controller, make_walk, simulate
 from dqwalk_ros.support.errors import ConfigError
 
 MODEL = load_model(load("paper").robot)
@@ -199,6 +200,26 @@ def apart(**changes):
 def test_entries_that_are_not_valid_are_named(changes, message):
     with pytest.raises(ConfigError, match=message):
         capsules_in(apart(**changes), MODEL)
+
+
+def test_only_a_pair_that_is_near_has_a_row():
+    q = np.zeros(MODEL.n)
+
+    def evaluated(near):
+        kind, support = PhaseKind.DOUBLE_SUPPORT, Foot.LEFT
+        return make_walk(apart(collision__near=near), MODEL).phase(kind, support, q).evaluate(q, dt=0.005)
+
+    plain = make_walk(load("paper"), MODEL).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, q).evaluate(q, dt=0.005)
+    far = evaluated(1e-3)
+    distance = far.distances()["apart_l_shin_r_shin"]  # which monitor and report see, too
+    assert distance > 1e-3
+    for one, other in zip(far.problem, plain.problem, strict=True):
+        np.testing.assert_array_equal(one, other)
+    near = evaluated(distance + 1e-3)
+    assert set(near.problem.names) - set(far.problem.names) == {"apart_l_shin_r_shin"}
+    row = near.problem.names.index("apart_l_shin_r_shin")
+    assert near.problem.w[row] == pytest.approx(-load("paper").collision.eta * distance)
+    np.testing.assert_array_equal(near.problem.W[row], near.J[near.assembly.task_rows + row])
 
 
 def test_shins_that_a_step_would_bring_together_stay_apart_at_every_tick():

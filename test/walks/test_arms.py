@@ -183,6 +183,22 @@ def test_a_hand_stays_at_a_place_on_the_ground_while_the_robot_steps_on() -> Non
     np.testing.assert_allclose(now, world, atol=5e-3)
 
 
+def test_a_hand_that_is_sent_into_the_pelvis_stays_outside() -> None:
+    pair = "apart_l_forearm_pelvis"
+    least = {}
+    for pairs in (CONFIG.collision.pairs, ()):
+        robot = Robot(CONFIG.updated({"collision.pairs": pairs}))
+        robot.run(0.1)
+        kin = robot.controller.kin
+        robot.arms.reach("left", DQ(kin.pose("chest")).conj() * DQ(kin.pose("pelvis")), "chest")
+        kept, seen = make_walk(CONFIG, MODEL), []
+        phase = kept.phase(robot.controller.phase.kind, robot.controller.phase.support, robot.q)
+        robot.run(2.0, lambda: seen.append(phase.distances(robot.q)[pair]))  # noqa: B023
+        least[bool(pairs)] = min(seen)
+    assert least[False] < -0.01
+    assert least[True] > -1e-4
+
+
 def test_the_newest_command_of_an_arm_counts_until_its_timeout() -> None:
     robot = Robot(CONFIG.updated({"arms.timeout": 0.5}))
     robot.run(0.1)
@@ -194,7 +210,8 @@ def test_the_newest_command_of_an_arm_counts_until_its_timeout() -> None:
     assert robot.arms.hands["left"].pose is not None
     robot.run(3.0)
     assert robot.arms.hands["left"].pose is None
-    np.testing.assert_allclose(robot.q[[MODEL.joint_names.index(name) for name in robot.arms.names]], 0.0, atol=0.03)
+    arms = [MODEL.joint_names.index(name) for name in robot.arms.names]
+    np.testing.assert_allclose(robot.q[arms], MODEL.posture(CONFIG.standing.posture)[arms], atol=0.03)
     robot.arms.reach("left", IN_FRONT, "chest")
     robot.arms.follow(["l_elbow_y"], [1.0], [[-1.0]])
     assert robot.arms.hands["left"].pose is None
