@@ -29,6 +29,8 @@ _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
 """MuJoCo's contact impedance (solimp): full from a penetration of 0.5 mm on."""
 
 
+_SHADES = [[0.66, 0.71, 0.78, 1.0], [0.78, 0.82, 0.87, 1.0]]
+"""Colours of boxes on the floor."""
 _LEAST_FRICTION = 0.01
 """Least friction with which a stiffness of the contact can be stated: its pyramid must have a width."""
 _IMPEDANCE = 0.9
@@ -330,15 +332,15 @@ def _add_ground_sensor(spec: Any, foot: Foot) -> None:
 
 
 def _add_boxes(spec: Any, boxes: list[Box]) -> None:
-    """Add boxes of the material of the floor."""
+    """Add boxes that touch as the floor does, in two shades, so that their edges are seen."""
     floor = spec.geom("floor")
-    for box in boxes:
+    for k, box in enumerate(boxes):
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=box.half,
             pos=box.at,
             quat=[np.cos(0.5 * box.turn), 0.0, 0.0, np.sin(0.5 * box.turn)],
-            rgba=floor.rgba,
+            rgba=_SHADES[k % 2],
             friction=floor.friction,
             solref=floor.solref,
             solimp=floor.solimp,

@@ -440,11 +440,12 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
     """Return the figures of a walk in physics."""
     stands, at = of.stands, int(np.nanargmax(of.tilt))
     landed = [span for span in series.spans if not span.double and span.ending is not None]
-    heights = [
-        float(DQ(of.soles[span.phase.support.other][span.end]).translation()[2])
-        for span in landed
-        if span.end < len(series.time)
-    ]
+    heights = []  # of the landed soles over their targets
+    for span in landed:
+        if span.end < len(series.time):
+            support, swing = (DQ(of.soles[foot][span.end]) for foot in (span.phase.support, span.phase.support.other))
+            target = support * DQ(span.record.swing_target)
+            heights.append(float((swing.translation() - target.translation())[2]))
     steps, duration = len(landed), float(series.time[-1] - series.time[0])
     out: dict[str, Any] = {
         "steps": steps,

@@ -13,7 +13,7 @@ import pytest
 from walks import values
 
 import dqwalk_ros as dq
-from dqwalk_ros.config import find_share, overlaid
+from dqwalk_ros.config import find_share, overlaid, put_on
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Observer
 from dqwalk_ros.paper.foot import Foot
@@ -702,6 +702,17 @@ ON_RUBBLE = CONFIG.updated(
         "sensors.encoder": 0.001534, "sensors.velocity_filter": 0.01,
     }
 )  # fmt: skip
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("overlays", "up"), [(["stairs"], 0.075), (["stairs", "stairs_down"], -0.075)])
+def test_three_stairs_are_walked_by_footsteps(overlays: list[str], up: float) -> None:
+    config = put_on(overlaid(CONFIG, "physics"), [Path(name) for name in overlays]).updated({"qp.solver": "daqp"})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    trace = simulate(controller, plant)
+    found = report(analyse(trace))
+    assert found["ok"], found["violations"]
+    assert [DQ(plant.truth.soles[foot]).translation()[2] for foot in Foot] == pytest.approx([up, up], abs=1e-3)
 
 
 @pytest.mark.long
