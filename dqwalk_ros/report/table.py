@@ -137,7 +137,7 @@ def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("  tilt of the sole", f"at most {degrees * tilt['value']:.2f} degrees at {tilt['time']:.2f} s"))
     if of["landing_height"] is not None:
         height = mm * of["landing_height"]
-        lines.append(("  landing height", f"at most {height:.1f} mm over the target when touchdown is assumed"))
+        lines.append(("  landing height", f"at most {height:.1f} mm when touchdown is assumed"))
     margin = "" if of["cop_margin"] is None else f"; at worst {mm * of['cop_margin']:+.1f} mm"
     inside = 100.0 * of["cop_inside"]
     lines.append(("  pressure", f"centre inside the support polygon on {inside:.2f} % of ticks{margin}"))

@@ -442,7 +442,7 @@ def _physics(series: Series, of: Ground) -> dict[str, Any]:
     landed = [span for span in series.spans if not span.double and span.ending is not None]
     heights = []  # of the landed soles over their targets
     for span in landed:
-        if span.end < len(series.time):
+        if span.end < len(series.time) and span.record.swing_target is not None:
             support, swing = (DQ(of.soles[foot][span.end]) for foot in (span.phase.support, span.phase.support.other))
             target = support * DQ(span.record.swing_target)
             heights.append(float((swing.translation() - target.translation())[2]))
