@@ -69,9 +69,12 @@ def evidence(path: str, engines: tuple[str, ...], sample: int, many: Many) -> in
     with many.options("walks", lambda last: f"; the last one {'stood' if last.stood else 'fell'}") as options:
         done = study.collect(rows, engines, many.folder, sample=sample, **options)
     keys = ["row", "engine", "seed", "foot", "direction", "part"]
-    head = [*keys, "stood", "ok", "reason", "tilt_rad", "landing_m", "inside", "speed_m_s"]
+    head = [*keys, "stood", "ok", "reason", "tilt_rad", "landing_m", "inside", "speed_m_s", "touching"]
     lines = [
-        [*(point.get(key) for key in keys), end.stood, end.ok, end.reason, end.tilt, end.landing, end.inside, end.speed]
+        [
+            *(point.get(key) for key in keys),
+            *(end.stood, end.ok, end.reason, end.tilt, end.landing, end.inside, end.speed, end.touching),
+        ]
         for point, end in done
     ]
     write_study(many, "evidence", head, lines, table(done))
@@ -102,12 +105,14 @@ def table(done: Sequence[tuple[dict[str, Any], Outcome]]) -> str:
             figure([one.landing for one in ends], max, 1e3, 2),
             figure([one.inside for one in ends], min, 100.0, 2),
             figure([one.speed for one in ends], statistics.median, 1.0, 3),
+            figure([one.touching for one in ends], max, 1.0, 0),
         ]
         for group, ends in groups.items()
     ]
-    head = ("row", "engine", "stood", "OK", "tilt [deg]", "landing [mm]", "inside [%]", "speed [m/s]")
-    text = aligned(rows, head, right=range(4, 8))
-    lines = [text, "", "worst of all walks, the speed is the median; >= is the chance proved with 95 % confidence"]
+    head = ("row", "engine", "stood", "OK", "tilt [deg]", "landing [mm]", "inside [%]", "speed [m/s]", "touching")
+    text = aligned(rows, head, right=range(4, 9))
+    lines = [text, "", "worst of all walks, the speed is the median; >= is the chance proved with 95 % confidence;"]
+    lines += ["touching: states in which links of the robot touch each other, by their collision shapes in MuJoCo"]
     reasons = Counter(
         (*group, without_numbers(one.reason)) for group, ends in groups.items() for one in ends if one.reason
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +21,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = ["PhysicsPlant", "build", "held_torques", "robot_spec", "set_timestep"]
+__all__ = ["PhysicsPlant", "build", "held_torques", "own_contacts", "robot_spec", "set_timestep"]
 
 
 _THICK = 0.008
@@ -276,6 +277,37 @@ def _set_contact(mj: Any, body: int, stiffness: float, relaxation: float) -> Non
     b = relaxation * k * d
     mj.geom_solimp[:] = [d, d, 0.001, 0.5, 2.0]
     mj.geom_solref[:] = [-k * d**2, -b * d]  # MuJoCo divides them by d^2 and d
+
+
+def own_contacts(model: RobotModel, q: Array) -> Counter[str]:
+    """Return in how many of the states q (N, n) links of the robot touch each other, by pairs as ``l_foot, r_foot``.
+
+    The shapes are the collision shapes of the URDF. Links that a joint connects, and pairs that touch in the first
+    state, are not counted.
+
+    Raises
+    ------
+    PlantError
+        If MuJoCo cannot read the shapes.
+    """
+    spec = mujoco.MjSpec.from_string(model.urdf)
+    spec.compiler.fusestatic = False
+    try:
+        mj = spec.compile()
+    except ValueError as error:
+        raise PlantError(f"MuJoCo refuses the shapes of the robot: {error}") from error
+    data, found = mujoco.MjData(mj), Counter[str]()
+    at = [int(mj.joint(name).qposadr[0]) for name in model.joint_names]
+    names = [mj.body(int(body)).name for body in mj.geom_bodyid]
+    first: set[str] = set()
+    for k, angles in enumerate(q):
+        data.qpos[at] = angles
+        mujoco.mj_kinematics(mj, data)
+        mujoco.mj_collision(mj, data)
+        pairs = {", ".join(sorted(names[geom] for geom in contact)) for contact in data.contact.geom}
+        first = first if k else pairs
+        found.update(pairs - first)
+    return found
 
 
 def held_torques(model: RobotModel, q: Array, dq: Array, ddq: Array) -> tuple[Array, Array]:

@@ -118,6 +118,8 @@ class Outcome(msgspec.Struct, frozen=True):
         Fraction of the states with the pressure inside the support polygon.
     speed : float or None
         Distance over time, of the whole walk [m/s].
+    touching : int or None
+        Number of states in which links of the robot touch each other, summed over pairs (`plants.mujoco.own_contacts`).
     """
 
     stood: bool
@@ -127,6 +129,7 @@ class Outcome(msgspec.Struct, frozen=True):
     landing: float | None = None
     inside: float | None = None
     speed: float | None = None
+    touching: int | None = None
 
 
 def read(path: str) -> dict[str, Row]:
@@ -198,7 +201,12 @@ def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int
     why = "" if found["ok"] else "; ".join([*dict.fromkeys(reasons)][:2])
     seconds = float(trace.time[-1] - trace.time[0])
     landing, speed = found["walk"]["landing_error"], of["way"] / seconds if seconds > 0.0 else None
-    return Outcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed)
+    touching = None
+    if point["engine"] == "physics":
+        from dqwalk_ros.plants.mujoco import own_contacts  # needs the engine
+
+        touching = own_contacts(model, trace.q).total()
+    return Outcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed, touching)
 
 
 def _reaching(controller: VelocityController, interval: float, seed: int) -> Callable[[float], None]:

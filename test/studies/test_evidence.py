@@ -70,7 +70,7 @@ def test_the_bounds_are_those_at_which_the_count_has_a_chance_of_one_in_forty(co
 
 def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> None:
     done = [
-        ({"row": "walk", "engine": "drake", "seed": k}, Outcome(True, "", True, 0.01, 0.002, 0.99, 0.1))
+        ({"row": "walk", "engine": "drake", "seed": k}, Outcome(True, "", True, 0.01, 0.002, 0.99, 0.1, k))
         for k in range(19)
     ]
     done.append(({"row": "walk", "engine": "drake", "seed": 19}, Outcome(False, "fell at 3.2 s")))
@@ -78,7 +78,7 @@ def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> Non
     text = table(done)
     walk = next(line for line in text.splitlines() if line.lstrip().startswith("walk"))
     assert "19 of 20 (>= 75 %)" in walk
-    assert walk.split()[-4:] == ["0.57", "2.00", "99.00", "0.100"]
+    assert walk.split()[-5:] == ["0.57", "2.00", "99.00", "0.100", "18"]
     assert "1 of 1 (>= " in text
     assert "1 x walk, drake: fell" in text
 

@@ -237,6 +237,19 @@ def test_a_wrong_section_is_refused_by_name(changes: dict[str, Any], reason: str
         make_walk(CONFIG.updated(changes), MODEL)
 
 
+def test_the_engine_counts_contacts_between_links() -> None:
+    from dqwalk_ros.plants.mujoco import own_contacts
+
+    hanging = MODEL.posture(CONFIG.standing.posture)
+    inward = MODEL.posture([*CONFIG.standing.posture, "l_shoulder_x=-0.3"])
+    crossed = MODEL.posture([*CONFIG.standing.posture, "?_hip_z=0.5", "l_hip_x=-0.3"])
+    assert not own_contacts(MODEL, np.array([hanging, hanging]))
+    found = own_contacts(MODEL, np.array([hanging, inward, inward, crossed]))
+    assert found["l_forearm, pelvis"] == 2
+    assert found["l_shin, r_shin"] == 1
+    assert not own_contacts(MODEL, np.array([inward, inward]))  # as in the first state
+
+
 # ---------------------------------------------------------------------- a load
 
 
