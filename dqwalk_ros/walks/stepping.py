@@ -51,6 +51,7 @@ class SteppingWalk(Walk):
         self._planned: deque[Array] = deque()  # remaining commanded footprints, each in the frame of its support sole
         self._stands_first: Foot | None = None  # support foot of the first commanded footprint
         self._aimed: Array | None = None  # where the last commanded footprint was to be, in its support sole
+        self._on_stairs = any(level_of(up, config) for *_, up in parsed(config.gait.footsteps))
         self.arms = Arms(config, model, self.posture) if config.arms.joints else None
         self._twist = (0.0, 0.0, 0.0)
         self._stopping = False
@@ -117,6 +118,7 @@ class SteppingWalk(Walk):
             If a footprint violates a limit; see `Footsteps.planned`, also for the frames of the footprints.
         """
         self._planned, self._aimed = deque(self.footsteps.planned(support, footprints)), None
+        self._on_stairs |= any(level_of(float(DQ(x).translation()[2]), self.config) for x in self._planned)
         self._stands_first = support
 
     def _next_footprint(self, kin: Kinematics) -> Array:
@@ -211,8 +213,11 @@ class SteppingWalk(Walk):
         return FrameHeld(name="end_sole", eta=s.eta_feet, return_speed=s.recovery, frame=frame, pose=pose)
 
     def _level(self, kin: Kinematics) -> float:
-        """Return the height of the other sole over the base sole [m]; 0 if both count as level."""
-        return level_of(float(kin.point(kin.swing)[2]), self.config)
+        """Return the height of the other sole over the base sole [m]; 0 if both count as level, as without stairs.
+
+        Without stairs a sole that is higher has been kept up by a stone or a push, and is to come down.
+        """
+        return level_of(float(kin.point(kin.swing)[2]), self.config) if self._on_stairs else 0.0
 
     def _gap(self, support: Foot) -> PointsOverPlane:
         """Return the constraint that keeps the swing sole beside the support sole's inner edge, at ``sole_gap``."""

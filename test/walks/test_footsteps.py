@@ -119,6 +119,15 @@ def test_the_next_footsteps_make_up_for_what_a_landing_has_missed() -> None:
     assert ahead == pytest.approx([0.05 + 0.01, 0.05 + 0.01], abs=1e-3)
 
 
+def test_only_stairs_keep_a_sole_above_the_other_one() -> None:
+    raised = SimpleNamespace(swing="", point=lambda _: np.array([0.0, 0.1, 0.025]))
+    assert stairs("0.05 0 0 0")._level(raised) == 0.0  # type: ignore[arg-type]
+    assert stairs("0.05 0 0 0.025")._level(raised) == 0.025  # type: ignore[arg-type]
+    walk = stairs()
+    walk.place(Foot.LEFT, [(DQ.from_pose([0.0, 0.0, -0.025]) * DQ(walk.footsteps.beside(Foot.LEFT))).vec8()])
+    assert walk._level(raised) == 0.025  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("up", [0.025, -0.025])
 def test_a_walk_over_a_stair_moves_soles_and_com_by_its_height(up: float) -> None:
     config = DYNAMIC.updated({"gait.footsteps": (f"0.1 0 0 {up}", "0 0 0 0")})
