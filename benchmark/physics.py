@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from benchmark.timing import machine, table  # first: it sets the number of threads
-from dqwalk_ros.config import load
+from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.table import plant_type
 from dqwalk_ros.robot.model import load_model
@@ -28,7 +28,7 @@ WALKS = {"poppy": 0.015, "poppy_dynamic": 0.1}
 
 def walk(name: str, solver: str, ticks: int) -> tuple[float, float, float]:
     """Return the CPU time per tick [us] of the engine alone, the plant, and the controller."""
-    config = load(name).updated({"qp.solver": solver, "gait.steps": 0})
+    config = overlaid(load(name), "physics").updated({"qp.solver": solver, "gait.steps": 0})
     model = load_model(config.robot)
     controller = make_controller(config, model)
     plant = PhysicsPlant(config, model, model.posture(config.standing.posture))
@@ -60,7 +60,7 @@ def walk(name: str, solver: str, ticks: int) -> tuple[float, float, float]:
 
 def engines(name: str, ticks: int) -> dict[str, float]:
     """Return the CPU time per tick [us] of the plant in each engine, both driven by controllers of their own."""
-    config = load(name).updated({"gait.steps": 0})
+    config = overlaid(load(name), "physics").updated({"gait.steps": 0})
     model = load_model(config.robot)
     plants, spent = {}, {}
     for engine in ("physics", "drake"):

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import networkx as nx
 import numpy as np
 import pytest
 from geometry_msgs.msg import Twist
@@ -16,50 +20,117 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_plant
 
-SETTINGS = {"gait.steps": 0, "qp.solver": "daqp"}
-CONFIG = overlaid(load("poppy"), "physics").updated(SETTINGS)
-MODEL = load_model(CONFIG.robot)
-NEAR, WITHIN = 0.02, 0.05
-"""A goal counts as reached at the first distance by odometry; its true distance must be below the second [m]."""
+
+@dataclass(frozen=True)
+class Client:
+    """A walk, and how a client steers it.
+
+    Attributes
+    ----------
+    name : str
+        Of the configuration.
+    speed, turn : float
+        Largest velocities [m/s, rad/s]: the limits of Nav2's velocity_smoother.
+    near, within : float
+        A goal counts as reached at the first distance by odometry; its true distance must be below the second [m].
+    """
+
+    name: str
+    speed: float
+    turn: float
+    near: float
+    within: float
+
+    def velocity(self, heading: float, ahead: np.ndarray, left: float) -> Twist:
+        """Turn towards a place `ahead`, then walk there; slower in the last 10 cm of what is `left` of the way."""
+        error = math.remainder(math.atan2(ahead[1], ahead[0]) - heading, math.tau)
+        out = Twist()
+        out.angular.z = min(max(0.5 * error, -self.turn), self.turn)
+        if abs(error) < 0.4:
+            out.linear.x = self.speed * (1.0 - abs(error) / 0.4) * min(1.0, left / 0.1)
+        return out
 
 
-def velocity(odom: Odometry, goal: np.ndarray) -> Twist:
-    """Turn towards the goal, then walk there."""
-    p, r = odom.pose.pose.position, odom.pose.pose.orientation
-    ahead, heading = goal - [p.x, p.y], 2.0 * math.atan2(r.z, r.w)
-    error = math.remainder(math.atan2(ahead[1], ahead[0]) - heading, 2.0 * math.pi)
-    out = Twist()
-    out.angular.z = 0.5 * error
-    if abs(error) < 0.2:
-        out.linear.x = 0.02 * min(1.0, float(np.linalg.norm(ahead)) / 0.1)
-    return out
+STANDING, DYNAMIC = Client("poppy", 0.02, 0.05, 0.02, 0.05), Client("poppy_dynamic", 0.12, 0.18, 0.05, 0.08)
+ROBOT, OBSTACLE = 0.18, 0.10
+"""Radii of the robot, with its arms and the sway of its pelvis, and of each obstacle [m]."""
+_CELL, _LOOK = 0.05, 0.2
+"""Grid of the plan, and distance along the path of the place that is walked towards [m]."""
 
 
-def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the distance to each goal by odometry when it is reached, and the true distance [m]."""
-    controller, plant = make("controller", CONFIG), make_plant("physics", CONFIG, MODEL)
+def path(start: np.ndarray, goal: np.ndarray, obstacles: np.ndarray) -> np.ndarray:
+    """Return the shortest path on a grid that keeps the robot away from all obstacles, shape (n, 2) [m]."""
+    side = np.arange(-30, 31)
+    cells = {(int(i), int(j)): _CELL * np.array([i, j], float) for i, j in itertools.product(side, side)}
+    free = {
+        cell
+        for cell, place in cells.items()
+        if not len(obstacles) or np.linalg.norm(obstacles - place, axis=1).min() > ROBOT + OBSTACLE + _CELL
+    }
+    graph = nx.Graph()
+    for i, j in free:
+        for di, dj in ((1, 0), (0, 1), (1, 1), (1, -1)):
+            if (i + di, j + dj) in free:
+                graph.add_edge((i, j), (i + di, j + dj), weight=math.hypot(di, dj))
+    ends = [min(graph, key=lambda cell, place=place: np.linalg.norm(cells[cell] - place)) for place in (start, goal)]
+    return np.array([*(cells[cell] for cell in nx.astar_path(graph, *ends, weight="weight")), goal])
+
+
+def on_plane(x: DQ) -> DQ:
+    """Return the position along the ground and the yaw of a pose, as a pose."""
+    R, (px, py, _) = x.rotation_matrix(), x.translation()
+    yaw = math.atan2(R[1, 0], R[0, 0])
+    return DQ.from_pose([px, py, 0.0], [math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
+
+
+def drive(
+    make: Any,
+    client: Client,
+    goals: Sequence[Sequence[float]],
+    obstacles: np.ndarray | None = None,
+    localized: float = math.inf,
+) -> list[tuple[float, float]]:
+    """Return the true distance to each goal when it is reached by odometry, and the least one to an obstacle [m].
+
+    Every `localized` seconds map -> odom is corrected, as a localization by laser scans does.
+    """
+    config = overlaid(load(client.name), "physics").updated({"gait.steps": 0, "qp.solver": "daqp"})
+    model, obstacles = load_model(config.robot), np.zeros((0, 2)) if obstacles is None else obstacles
+    controller, plant = make("controller", config), make_plant("physics", config, model)
     listener = subscribed(controller, "/odom", Odometry)
-    begin = DQ(plant.truth.pelvis)
-    left, out, tick, first = list(goals), [], 0, None
+    begin, left, out = on_plane(DQ(plant.truth.pelvis)), [np.array(goal) for goal in goals], []
+    tick, least, way, fix, fixed = 0, 9.9, None, DQ(1.0), -math.inf
     try:
         while left:
-            controller.exchange(plant, MODEL, 1.0 + tick * CONFIG.dt)
+            controller.exchange(plant, model, 1.0 + tick * config.dt)
             controller.got["joint_velocity_commands"].clear()
-            assert not plant.fallen, (tick * CONFIG.dt, out)
+            assert not plant.fallen, (tick * config.dt, out)
             tick += 1
             if not controller.got["odom"]:
                 continue
-            odom = controller.got["odom"].pop()
-            place = np.array([odom.pose.pose.position.x, odom.pose.pose.position.y])
-            first = place if first is None else first
-            goal = first + left[0]
+            msg = controller.got["odom"].pop().pose.pose
+            p, r = msg.position, msg.orientation
+            odom = on_plane(DQ.from_pose([p.x, p.y, 0.0], [r.w, r.x, r.y, r.z]))
+            true = begin.conj() * on_plane(DQ(plant.truth.pelvis))
+            if tick == 1 or tick * config.dt > fixed + localized:
+                fix, fixed = true * odom.conj(), tick * config.dt
+            here, at = fix * odom, true.translation()[:2]
+            place, R = here.translation()[:2], here.rotation_matrix()
+            least = min([least, *(np.linalg.norm(obstacles - at, axis=1) - OBSTACLE)])
+            way = path(place, left[0], obstacles) if way is None else way
+            to_go = float(np.linalg.norm(left[0] - place))
             if tick % 20 == 0:
-                controller.send("cmd_vel", velocity(odom, goal))
-            if np.linalg.norm(goal - place) < NEAR:
-                true = (begin.conj() * DQ(plant.truth.pelvis)).translation()[:2]
-                out.append((float(np.linalg.norm(goal - place)), float(np.linalg.norm(true - left.pop(0)))))
-                print(f"{tick * CONFIG.dt:.0f} s: goal {len(out)}, {1e3 * out[-1][1]:.0f} mm true distance")
-            assert tick * CONFIG.dt < 400.0 * len(goals), (place, left)
+                nearest = int(np.argmin(np.linalg.norm(way - place, axis=1)))
+                ahead = way[min(nearest + round(_LOOK / _CELL), len(way) - 1)] - place
+                controller.send("cmd_vel", client.velocity(math.atan2(R[1, 0], R[0, 0]), ahead, to_go))
+            if to_go < client.near:
+                out.append((float(np.linalg.norm(at - left.pop(0))), float(least)))
+                way, least = None, 9.9
+                print(
+                    f"{tick * config.dt:.0f} s: goal {len(out)}, true distance {1e3 * out[-1][0]:.0f} mm, "
+                    f"obstacles at {out[-1][1]:.2f} m or more"
+                )
+            assert tick * config.dt < 400.0 * len(goals), (place, left)
     finally:
         listener.destroy_node()
     return out
@@ -67,13 +138,35 @@ def drive(make: Any, goals: list[tuple[float, float]]) -> list[tuple[float, floa
 
 @pytest.mark.long
 def test_a_goal_ahead_is_reached_by_odometry(make: Any) -> None:
-    ((_, true),) = drive(make, [(0.06, 0.0)])
-    assert true < WITHIN
+    ((true, _),) = drive(make, STANDING, [(0.06, 0.0)])
+    assert true < STANDING.within
 
 
 @pytest.mark.long
 @pytest.mark.timeout(3000)
 def test_five_goals_on_a_square_of_one_metre_are_reached(make: Any) -> None:
-    reached = drive(make, [(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0), (1.0, 0.0)])
+    reached = drive(make, STANDING, [(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0), (1.0, 0.0)])
     assert len(reached) == 5
-    assert max(true for _, true in reached) < WITHIN
+    assert max(true for true, _ in reached) < STANDING.within
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3000)
+def test_twenty_goals_among_obstacles_are_reached_by_the_dynamic_walk(make: Any) -> None:
+    """Eight columns in a room of 2.4 m, which the robot does not touch; a localization corrects its odometry."""
+    rng = np.random.default_rng(1)
+    obstacles = np.zeros((0, 2))
+    while len(obstacles) < 8:
+        new = rng.uniform(-1.1, 1.1, 2)
+        if np.linalg.norm(new) > 0.5 and (not len(obstacles) or np.linalg.norm(obstacles - new, axis=1).min() > 0.6):
+            obstacles = np.vstack([obstacles, new])
+    goals: list[np.ndarray] = []
+    while len(goals) < 20:
+        goal = rng.uniform(-1.1, 1.1, 2)
+        away = np.linalg.norm(goal - (goals[-1] if goals else 0.0)) > 0.5
+        if away and np.linalg.norm(obstacles - goal, axis=1).min() > ROBOT + OBSTACLE + 2.0 * _CELL:
+            goals.append(goal)
+    reached = drive(make, DYNAMIC, goals, obstacles, localized=10.0)
+    assert len(reached) == 20
+    assert max(true for true, _ in reached) < DYNAMIC.within
+    assert min(free for _, free in reached) > ROBOT

@@ -137,7 +137,8 @@ class Inside:
         now, inertial = plant.state, inertial or plant.inertial
         if inertial is not None:
             self.send("imu", ros.imu(round(stamp * 1e9), model.imu, inertial))
-        self.send("joint_states", state(model.joint_names, now.q if q is None else q, stamp, velocity=now.dq))
+        efforts = {} if now.effort is None else {"effort": now.effort}
+        self.send("joint_states", state(model.joint_names, now.q if q is None else q, stamp, velocity=now.dq, **efforts))
         answer = self.got["joint_velocity_commands"][-1]
         velocity, effort = np.array(answer.velocity), np.array(answer.effort) if answer.effort else None
         plant.step(Command(stamp, velocity, effort), self.node.config.dt)
