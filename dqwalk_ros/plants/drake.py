@@ -212,6 +212,9 @@ class DrakePlant(EnginePlant):
         x: Array = pose_of(np.array(pose.translation()), pose.rotation().ToQuaternion().wxyz())
         return x
 
+    def _height_of(self, link: str) -> float:
+        return float(self._world.EvalBodyPoseInWorld(self._context, self._bodies[link]).translation()[2])
+
     def _wrench(self, foot: Foot) -> Array:
         world, body = self._world, self._bodies[self.model.soles[foot].frame]
         pose, index, out = world.EvalBodyPoseInWorld(self._context, body), body.index(), np.zeros(6)

@@ -75,7 +75,7 @@ class EnginePlant(Plant):
         root = None if config.physics.held else standing_root(model, q)
         self._seat(q, root)
         self._upright = self._floor_normal()
-        self._height = -math.inf if root is None else float(self._com[2])  # one that is held cannot fall
+        self._height = -math.inf if root is None else self._over_soles()  # one that is held cannot fall
         # the first goals include the torques against gravity: soft servos would let the robot tip backwards
         up = -gravity_of(self._level) / GRAVITY
         effort = np.zeros(model.n) if root is None else gravity_torques(Kinematics(model, q, Foot.LEFT, up), both=True)
@@ -160,9 +160,14 @@ class EnginePlant(Plant):
     def fallen(self) -> bool:
         """Whether the CoM is below 60 % of its initial height, or the pelvis leans by more than 60 degrees from there.
 
-        Neither depends on where a description has the origin of a link, or on its axes.
+        The height is that over the lower sole, wherever stairs have led it. Neither depends on where a description has
+        the origin of a link, or on its axes.
         """
-        return bool(self._com[2] < 0.6 * self._height or self._floor_normal() @ self._upright < 0.5)
+        return self._over_soles() < 0.6 * self._height or bool(self._floor_normal() @ self._upright < 0.5)
+
+    def _over_soles(self) -> float:
+        """Return the height of the CoM over the lower sole [m]."""
+        return float(self._com[2]) - min(self._height_of(sole.frame) for sole in self.model.soles.values())
 
     def _measured(self) -> State:
         orientation, gyro = _imu(self._level, *self._imu_motion(), self._mounting, self._to_sensor)
@@ -216,6 +221,10 @@ class EnginePlant(Plant):
     @abstractmethod
     def _pose(self, link: str) -> Array:
         """Return the pose (8,) of a link."""
+
+    @abstractmethod
+    def _height_of(self, link: str) -> float:
+        """Return the height of a link's origin [m]."""
 
     @abstractmethod
     def _wrench(self, foot: Foot) -> Array:

@@ -107,6 +107,9 @@ class PhysicsPlant(EnginePlant):
         x: Array = pose_of(self._xpos[body], self._xquat[body])
         return x
 
+    def _height_of(self, link: str) -> float:
+        return float(self._xpos[self._bodies[link], 2])
+
     def _wrench(self, foot: Foot) -> Array:
         body, sensor = self._bodies[self.model.soles[foot].frame], self._ground[foot]
         wrench: Array = _moved_wrench(self._sensed[sensor : sensor + 9], self._xpos[body], self._xmat[body])

@@ -34,7 +34,7 @@ __all__ = [
 
 
 FALLEN = 0.6
-"""Height of the pelvis, relative to its first height, below which the robot has fallen."""
+"""Height of the pelvis over the lower sole, relative to its first one, below which the robot has fallen."""
 TIPPED = np.radians(20.0)
 """Tilt of the more loaded sole above which the robot has fallen [rad]."""
 WAY = 0.8
@@ -456,7 +456,7 @@ class Ground:
         Distance of the centre of pressure to the edge of the phase's support soles, positive inside [m]; nan in the
         air.
     height : ndarray, shape (N,)
-        Of the pelvis [m].
+        Of the pelvis over the lower sole [m].
     stands : ndarray, shape (M, 3)
         x, y [m] and yaw [rad, unwrapped] halfway between the feet, at the start of each double support or stance and at
         the end.
@@ -475,7 +475,6 @@ class Ground:
         self.physics, self._series = physics, series
         self.soles = {foot: np.empty((count, 8)) for foot in Foot}
         self.com, self.cop_margin = np.empty((count, 3)), np.full(count, np.nan)
-        self.height = DQ(physics.pelvis).translation()[:, 2]
         true_q = np.where(np.isfinite(physics.q), physics.q, trace.q)
         for span in series.spans:
             ticks, base = span.ticks, span.phase.base
@@ -491,6 +490,8 @@ class Ground:
             poses = {foot: DQ(self.soles[foot][ticks]) for foot in feet}
             corners = [x.transform_point(c)[:, :2] for foot, x in poses.items() for c in model.soles[foot].corners]
             self.cop_margin[ticks] = hull_margin(np.stack(corners, axis=1), physics.cop[ticks, :2])
+        lower = np.min([DQ(self.soles[foot]).translation()[:, 2] for foot in Foot], axis=0)
+        self.height = DQ(physics.pelvis).translation()[:, 2] - lower
         self.cop_margin[~np.isfinite(physics.cop).all(axis=1)] = np.nan
         loads = np.stack([physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
         tilts = np.stack([tilt(self.soles[foot]) for foot in Foot], axis=1)

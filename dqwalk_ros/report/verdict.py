@@ -277,7 +277,7 @@ def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
     low = of.height < FALLEN * of.height[0]
     if low.any():
         tick = int(np.argmax(low))
-        text = f"the robot has fallen: its pelvis is {1e3 * of.height[tick]:.0f} mm high"
+        text = f"the robot has fallen: its pelvis is {1e3 * of.height[tick]:.0f} mm above its lower sole"
         yield _broken(series, "fallen", tick, float(of.height[tick]), float(FALLEN * of.height[0]), text)
     if text := shortfall(of.way, of.commanded):
         yield Violation("way", "", float(series.time[-1]), of.way, WAY * of.commanded, text)

@@ -10,7 +10,9 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra sim")
 
 from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.engine import standing_root
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_plant
 
@@ -43,3 +45,17 @@ def test_a_fall_does_not_depend_on_the_root_link(tmp_path: Path, rpy: str) -> No
             break
     assert plant.fallen
     assert k > 40
+
+
+@pytest.mark.parametrize("engine", ["physics", "drake"])
+@pytest.mark.parametrize("floor", [-0.5, 0.0, 0.5])
+def test_a_fall_is_judged_over_the_soles(engine: str, floor: float) -> None:
+    """Wherever stairs have led them; a robot on its knees has fallen."""
+    if engine == "drake":
+        pytest.importorskip("pydrake", reason="there is no wheel of Drake for this machine")
+    model = load_model(CONFIG.robot)
+    plant = make_plant(engine, CONFIG, model)
+    for posture, fallen in (([], False), (["?_hip_y=-1.7", "?_knee_y=2.3", "?_ankle_y=-0.6"], True)):
+        q = model.posture(posture)
+        plant._seat(q, (DQ.from_pose([0.0, 0.0, floor]) * DQ(standing_root(model, q))).vec8())
+        assert plant.fallen is fallen

@@ -138,7 +138,9 @@ class Inside:
         if inertial is not None:
             self.send("imu", ros.imu(round(stamp * 1e9), model.imu, inertial))
         efforts = {} if now.effort is None else {"effort": now.effort}
-        self.send("joint_states", state(model.joint_names, now.q if q is None else q, stamp, velocity=now.dq, **efforts))
+        self.send(
+            "joint_states", state(model.joint_names, now.q if q is None else q, stamp, velocity=now.dq, **efforts)
+        )
         answer = self.got["joint_velocity_commands"][-1]
         velocity, effort = np.array(answer.velocity), np.array(answer.effort) if answer.effort else None
         plant.step(Command(stamp, velocity, effort), self.node.config.dt)
