@@ -7,7 +7,8 @@ X_estimated = exp(xi) X, so that the measurement equation of a sole at rest, R h
 coefficients that do not depend on the state.
 
 The floor is assumed to be level except for a few millimetres between footholds: the height of a landing sole is the
-only measurement that distinguishes a tilt of the sensor from a bias of its accelerometer.
+only measurement that distinguishes a tilt of the sensor from a bias of its accelerometer. A sole that lands elsewhere
+is on a stair, as high as the estimate has it.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ _R, _V, _P, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9), slice
 _SIZE = 27
 """Length of xi."""
 _GATE = 25.0
-"""Squared Mahalanobis distance of a contact point from its former position above which it has slipped or lifted."""
+"""Squared Mahalanobis distance of a contact point above which it has slipped or lifted, from its former position, or of a
+landing one above which it is on a stair, from the floor."""
 _JOLT = np.array([0.015, 0.1])
 """Largest change of orientation [rad] and velocity [m/s] by the change between two measurements that is used.
 
@@ -100,7 +102,7 @@ class BaseEstimator:
         self._noise = np.array(deviations) ** 2
         self._time = math.nan
         self._last_inertial = np.zeros(3), np.zeros(3)
-        self._stood = np.zeros(4, dtype=bool)
+        self._stood, self._ground = np.zeros(4, dtype=bool), np.zeros(4)
         self._slipping = 0  # consecutive updates in which every standing sole seems to slip
 
     @property
@@ -150,7 +152,18 @@ class BaseEstimator:
             mean = 0.5 * (gyro + self._last_inertial[0]), 0.5 * (acceleration + self._last_inertial[1])
             _predict(time - self._time, *mean, self._R, self._v, self._p, self._d, self._bias, self._P, self._noise)
         lost = _contact(
-            h, stands, self._stood, self._R, self._v, self._p, self._d, self._bias, self._P, c.kinematics**2, c.floor**2
+            h,
+            stands,
+            self._stood,
+            self._ground,
+            self._R,
+            self._v,
+            self._p,
+            self._d,
+            self._bias,
+            self._P,
+            c.kinematics**2,
+            c.floor**2,
         )
         held = stands & self._stood
         self._slipping = self._slipping + 1 if held.any() and lost[held].all() else 0
@@ -244,8 +257,11 @@ def _reset_point(k, h, R, p, d, P, variance):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _contact(h, standing, stood, R, v, p, d, bias, P, kinematics, floor):  # type: ignore[no-untyped-def]
-    """Correction step with the standing contact points; return which of the four have slipped or lifted, shape (4,)."""
+def _contact(h, standing, stood, ground, R, v, p, d, bias, P, kinematics, floor):  # type: ignore[no-untyped-def]
+    """Correction step with the standing contact points; return which of the four have slipped or lifted, shape (4,).
+
+    `ground` (4,) are the heights on which they stand [m]: zero, or where a stair is found.
+    """
     H, z, noise = np.zeros((12, _SIZE)), np.zeros(12), np.zeros(12)
     m, lost = 0, np.zeros(4, np.bool_)
     for k in range(4):
@@ -261,8 +277,12 @@ def _contact(h, standing, stood, R, v, p, d, bias, P, kinematics, floor):  # typ
                 m += 1
         else:
             _reset_point(k, h[k], R, p, d, P, kinematics)
-            # its height: d_z = (xi_R x d + xi_d)_z + noise
-            H[m, 0], H[m, 1], H[m, i + 2], z[m], noise[m] = d[k, 1], -d[k, 0], 1.0, d[k, 2], floor
+            # its height: d_z - ground = (xi_R x d + xi_d)_z + noise
+            H[m, 0], H[m, 1], H[m, i + 2], noise[m] = d[k, 1], -d[k, 0], 1.0, floor
+            if not stood[k]:
+                stair = d[k, 2] ** 2 > _GATE * (H[m] @ P @ H[m] + floor)
+                ground[k] = d[k, 2] if stair else 0.0
+            z[m] = d[k, 2] - ground[k]
             m += 1
     if m > 0:
         _correct(np.ascontiguousarray(H[:m]), z[:m], noise[:m], R, v, p, d, bias, P)

@@ -76,6 +76,21 @@ def test_the_covariance_of_the_velocity_in_its_own_axes_contains_no_yaw() -> Non
     assert np.cov(errors[:, 3:6].T)[1, 1] > 1e-3  # of the velocity in axes of the world
 
 
+@pytest.mark.parametrize("height", [-0.03, 0.03])
+def test_a_sole_on_a_stair_does_not_tilt_the_estimate(height: float) -> None:
+    """The robot is at rest; its left foot lands on a stair."""
+    higher, lower = (MODEL.posture([f"?_hip_y={-a}", f"?_knee_y={2.0 * a}", f"?_ankle_y={-a}"]) for a in (0.6, 0.3))
+    q = np.where([name.startswith("l_") is (height > 0.0) for name in MODEL.joint_names], higher, lower)
+    kin = Kinematics(MODEL, q, Foot.RIGHT)
+    assert kin.point(kin.swing)[2] == pytest.approx(height, abs=0.02)
+    estimator, up = BaseEstimator(POPPY, MODEL), np.array([kin.direction(MODEL.imu, axis)[2] for axis in np.eye(3)])
+    for k in range(300):
+        x = estimator.update(0.005 * k, kin, np.zeros(3), GRAVITY * up, both=k > 100)
+    off = DQ(x.pose).conj() * DQ(kin.pose(MODEL.pelvis))
+    assert np.abs(off.translation()).max() < 1e-3
+    assert np.abs(off.rotation_vector()).max() < 1e-3
+
+
 def estimated(
     glitch: dict[int, tuple[np.ndarray, np.ndarray]], dt: float = 0.005, count: int = 300
 ) -> tuple[BaseEstimator, np.ndarray]:
