@@ -39,8 +39,8 @@ _R, _V, _P, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9), slice
 _SIZE = 27
 """Length of xi."""
 _GATE = 25.0
-"""Squared Mahalanobis distance of a contact point above which it has slipped or lifted, from its former position, or of a
-landing one above which it is on a stair, from the floor."""
+"""Squared Mahalanobis distance of a contact point from its former position above which it has slipped or lifted, and of
+a landing one from the floor above which it is on a stair."""
 _JOLT = np.array([0.015, 0.1])
 """Largest change of orientation [rad] and velocity [m/s] by the change between two measurements that is used.
 
