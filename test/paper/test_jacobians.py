@@ -153,6 +153,12 @@ def examples(model, foot):
         "radius": 0.03,
         "origin": Point(model.pelvis, np.array([0.02, 0.0, 0.0])),
         "normal": Direction(model.pelvis, np.array([1.0, 0.0, 0.0])),
+        "features": (Point(swing.frame, swing.tip),),
+        "size": 2,
+        "Beside.numbers": np.array([0.1, 0.2, 0.0, 0.0, 1.0, 0.5, -0.3, 0.2, 0.0, 2.0]),
+        "hand": swing.frame,
+        "trunk": model.pelvis,
+        "HandInTrunk.numbers": np.array([0.1, 0.0, -0.3, 0.6, 0.8, 0.0, -0.8, 0.6, 0.0, 0.0, 0.0, 0.0, 0.2, 1.0]),
     }
 
 

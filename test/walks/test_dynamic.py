@@ -540,14 +540,14 @@ def test_a_steered_walk_ramps_its_steps_and_stops_with_feet_together() -> None:
     assert stance.rule.is_over(0.0, 100.0)
     step, lengths = np.zeros(3), []
     for k in range(6):
-        step, _ = walk._after(step, k)
+        step, _ = walk._after(step, k, Foot.LEFT)
         lengths.append(step[0])
     assert lengths == pytest.approx(CONFIG.gait.most_length * np.array([0.25, 0.5, 0.75, 1.0, 1.0, 1.0]))
     walk.steer(0.0, 0.0, 0.0)
     for _ in range(3):
-        step, together = walk._after(step, 9)
+        step, together = walk._after(step, 9, Foot.LEFT)
         assert not together
-    assert walk._after(step, 9)[1]
+    assert walk._after(step, 9, Foot.LEFT)[1]
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.1, 0.17, 0.27])
