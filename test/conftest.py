@@ -12,6 +12,7 @@ from typing import Any
 import declared
 import pytest
 import robots
+from hypothesis import HealthCheck, settings
 from stepped_time import SteppedTime
 
 from dqwalk_ros.cli.runner import private_domain
@@ -26,6 +27,17 @@ for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
+
+# the same examples every time, and no failure of a busy machine
+settings.register_profile(
+    "dqwalk",
+    deadline=None,
+    derandomize=True,
+    max_examples=40,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("dqwalk")
 
 HERE = Path(__file__).parent
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from dqwalk_ros.paper.dual_quaternions import DQ, E, i, j, k, qconj, qmul
-
-settings.register_profile("dqwalk", deadline=None, derandomize=True, max_examples=40, database=None)
-settings.load_profile("dqwalk")
 
 numbers = st.floats(-10.0, 10.0, allow_subnormal=False)
 vectors = arrays(float, 3, elements=numbers)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dqwalk_ros.config import load
@@ -41,7 +41,6 @@ def test_every_joint_outside_its_limits_is_named(model: RobotModel) -> None:
 speeds = st.floats(-1e6, 1e6, allow_nan=False)
 
 
-@settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_clamped_velocities_cross_no_limit(model: RobotModel, data: st.DataObject) -> None:
     u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))
@@ -55,7 +54,6 @@ def test_clamped_velocities_cross_no_limit(model: RobotModel, data: st.DataObjec
     assert (after >= model.q_min - 1e-12).all()
 
 
-@settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_outside_its_limits_a_joint_moves_only_inward(model: RobotModel, data: st.DataObject) -> None:
     u = np.array(data.draw(st.lists(speeds, min_size=model.n, max_size=model.n)))

@@ -45,7 +45,7 @@ def with_bounds(h: Hierarchy, rows: slice | list[int], lower: object, upper: obj
     return h
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 4))
 def test_solutions_satisfy_the_karush_kuhn_tucker_conditions(seed: int, fixed: int) -> None:
     """All rows hold, and the gradient of the cost is a combination of the active rows with multipliers >= 0.
