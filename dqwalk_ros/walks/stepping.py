@@ -51,7 +51,7 @@ class SteppingWalk(Walk):
         self._planned: deque[Array] = deque()  # remaining commanded footprints, each in the frame of its support sole
         self._stands_first: Foot | None = None  # support foot of the first commanded footprint
         self._aimed: Array | None = None  # where the last commanded footprint was to be, in its support sole
-        self._on_stairs = any(level_of(up, config) for *_, up in parsed(config.gait.footsteps))
+        self._on_stairs = False
         self.arms = Arms(config, model, self.posture) if config.arms.joints else None
         self._twist = (0.0, 0.0, 0.0)
         self._stopping = False
@@ -118,7 +118,6 @@ class SteppingWalk(Walk):
             If a footprint violates a limit; see `Footsteps.planned`, also for the frames of the footprints.
         """
         self._planned, self._aimed = deque(self.footsteps.planned(support, footprints)), None
-        self._on_stairs |= any(level_of(float(DQ(x).translation()[2]), self.config) for x in self._planned)
         self._stands_first = support
 
     def _next_footprint(self, kin: Kinematics) -> Array:

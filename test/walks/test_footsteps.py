@@ -13,6 +13,7 @@ from dqwalk_ros.config import load
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import make_controller, make_plant, simulate
 from dqwalk_ros.support.errors import ConfigError, StateError
@@ -120,12 +121,12 @@ def test_the_next_footsteps_make_up_for_what_a_landing_has_missed() -> None:
 
 
 def test_only_stairs_keep_a_sole_above_the_other_one() -> None:
-    raised = SimpleNamespace(swing="", point=lambda _: np.array([0.0, 0.1, 0.025]))
-    assert stairs("0.05 0 0 0")._level(raised) == 0.0  # type: ignore[arg-type]
-    assert stairs("0.05 0 0 0.025")._level(raised) == 0.025  # type: ignore[arg-type]
-    walk = stairs()
-    walk.place(Foot.LEFT, [(DQ.from_pose([0.0, 0.0, -0.025]) * DQ(walk.footsteps.beside(Foot.LEFT))).vec8()])
-    assert walk._level(raised) == 0.025  # type: ignore[arg-type]
+    """Also of the phases that a monitor builds from topics: it is given where each swing leads."""
+    raised, walk = SimpleNamespace(swing="", point=lambda _: np.array([0.0, 0.1, 0.025])), stairs()
+    for height, level in ((0.0, 0.0), (0.005, 0.0), (-0.025, 0.025), (0.0, 0.025)):
+        goal = (DQ.from_pose([0.0, 0.0, height]) * DQ(walk.footsteps.beside(Foot.LEFT))).vec8()
+        walk.phase(PhaseKind.SINGLE_SUPPORT, Foot.LEFT, walk.posture, goal)
+        assert walk._level(raised) == level  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("up", [0.025, -0.025])

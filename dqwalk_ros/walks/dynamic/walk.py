@@ -38,7 +38,7 @@ from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, sin
 from dqwalk_ros.walks.dynamic.swing import Climb, Swing
 from dqwalk_ros.walks.following import Follow, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
-from dqwalk_ros.walks.footsteps import Carried
+from dqwalk_ros.walks.footsteps import Carried, level_of
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 
 __all__ = ["DynamicWalk"]
@@ -264,6 +264,9 @@ class DynamicWalk(SteppingWalk):
         s = self.config.standing
         kin = Kinematics(self.model, q_start, support)
         x = DQ(swing_target)
+        self._on_stairs |= bool(
+            level_of(float(x.translation()[2]), self.config)
+        )  # here, so that a monitor knows it, too
         task = FollowPose(
             name="swing",
             weight=s.swing_weight,
