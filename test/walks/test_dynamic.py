@@ -604,7 +604,7 @@ def test_cmd_vel_steers_the_dynamic_walk_on_a_circle(noise: bool) -> None:
     off = np.abs(np.hypot(x - fit[0], y - fit[1]) - radius).max()
     print(f"\ncircle of {radius:.3f} m, round to {1e3 * off:.1f} mm")
     assert radius == pytest.approx(0.5, abs=0.03)
-    assert off < 0.005
+    assert off < (0.008 if noise else 0.005)
 
 
 @pytest.mark.long
