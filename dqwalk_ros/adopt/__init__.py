@@ -326,7 +326,7 @@ def write_dynamic(
 
 
 def _add_frames(urdf: Urdf, anatomy: Anatomy) -> str:
-    """Add a root link and a pelvis with x forward and z up between the hips where there are none.
+    """Add a root link, and a pelvis between the hips with x forward and z up, to a description that lacks them.
 
     The name of the pelvis is returned. Where a description has the origins and the axes of these links is arbitrary;
     heights and directions are not.

@@ -293,9 +293,9 @@ def own_contacts(model: RobotModel, q: Array) -> Counter[str]:
     PlantError
         If MuJoCo cannot read the shapes.
     """
-    spec = mujoco.MjSpec.from_string(model.urdf)
-    spec.compiler.fusestatic = False
     try:
+        spec = mujoco.MjSpec.from_string(model.urdf)
+        spec.compiler.fusestatic = False
         mj = spec.compile()
     except ValueError as error:
         raise PlantError(f"MuJoCo refuses the shapes of the robot: {error}") from error

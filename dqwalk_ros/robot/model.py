@@ -265,18 +265,18 @@ def load_model(config: RobotConfig) -> RobotModel:
 
 
 _REMEMBERED = 2**20
-"""Largest file whose model is remembered [byte]."""
+"""Largest description whose model is remembered [byte, characters]."""
 
 
 @functools.lru_cache(maxsize=16)
-def _remembered(data: bytes, source: str, config: RobotConfig, *, published: bool) -> RobotModel:
+def _remembered(data: bytes | str, source: str, config: RobotConfig, *, published: bool) -> RobotModel:
     """Return the model of a description, which studies, nodes and reports ask for many times.
 
     It is remembered on disk, too: to import yourdfpy takes as long as everything else until a node starts.
     """
     code = [file.read_bytes() for file in sorted(pathlib.Path(__file__).parent.glob("*.py"))]
-    key = b"\0".join([data, *code, repr((source, config, published, version("yourdfpy"))).encode()])
-    return remembered("models", key, lambda: _model(Urdf(data, source), config, published=published))
+    key = repr((data, source, config, published, version("yourdfpy"))).encode()
+    return remembered("models", b"".join([key, *code]), lambda: _model(Urdf(data, source), config, published=published))
 
 
 def parse_model(text: str, config: RobotConfig) -> RobotModel:
@@ -289,7 +289,9 @@ def parse_model(text: str, config: RobotConfig) -> RobotModel:
     ModelError
         As `load_model`.
     """
-    return _remembered(text.encode(), "robot_description", config, published=True)
+    if len(text) <= _REMEMBERED:
+        return _remembered(text, "robot_description", config, published=True)
+    return _model(Urdf(text, "robot_description"), config, published=True)
 
 
 def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:

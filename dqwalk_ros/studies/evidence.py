@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import math
@@ -25,7 +26,7 @@ from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, listed
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError, listed
 from dqwalk_ros.walks.course import Course
 from dqwalk_ros.walks.stepping import SteppingWalk
 
@@ -119,7 +120,8 @@ class Outcome(msgspec.Struct, frozen=True):
     speed : float or None
         Distance over time, of the whole walk [m/s].
     touching : int or None
-        Number of states in which links of the robot touch each other, summed over pairs (`plants.mujoco.own_contacts`).
+        Number of states in which links of the robot touch each other, summed over pairs (`plants.mujoco.own_contacts`);
+        None in another engine, and if MuJoCo cannot read the shapes of the robot.
     """
 
     stood: bool
@@ -205,7 +207,8 @@ def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int
     if point["engine"] == "physics":
         from dqwalk_ros.plants.mujoco import own_contacts  # needs the engine
 
-        touching = own_contacts(model, trace.q).total()
+        with contextlib.suppress(PlantError):  # shapes that MuJoCo cannot read, such as some meshes
+            touching = own_contacts(model, trace.q).total()
     return Outcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed, touching)
 
 

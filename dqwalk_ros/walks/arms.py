@@ -37,8 +37,24 @@ _MOST_POINTS = 10_000
 """Largest number of points of a trajectory."""
 
 
+class Live:
+    """Part of a task whose `numbers` may all change with every state."""
+
+    numbers: Array
+
+    @property
+    def parameters(self) -> Array:
+        """All numbers, which are live."""
+        return self.numbers
+
+    @property
+    def live(self) -> Array:
+        """All numbers."""
+        return self.numbers
+
+
 @dataclass(frozen=True, kw_only=True)
-class Beside(Affine, Task):
+class Beside(Live, Affine, Task):
     """Task e = A s - b of which all numbers may change with every state.
 
     Attributes
@@ -64,16 +80,6 @@ class Beside(Affine, Task):
     def A(self) -> Array:
         """The present gradient, shape (k, m)."""
         return _parts(self.numbers, self.size)[2]
-
-    @property
-    def parameters(self) -> Array:
-        """All numbers, which are live."""
-        return self.numbers
-
-    @property
-    def live(self) -> Array:
-        """All numbers."""
-        return self.numbers
 
 
 def _parts(numbers: Array, size: int) -> tuple[Array, Array, Array]:
@@ -139,7 +145,7 @@ def hand_in_trunk(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Arr
 
 
 @dataclass(frozen=True, kw_only=True)
-class HandInTrunk(Task):
+class HandInTrunk(Live, Task):
     """Task that a hand follows a pose in the trunk, which may change with every state.
 
     Attributes
@@ -160,16 +166,6 @@ class HandInTrunk(Task):
         """Position and two axes of the hand, position and three axes of the trunk."""
         of_hand = (Direction(self.hand, axis) for axis in np.eye(3)[:2])
         return Point(self.hand), *of_hand, Point(self.trunk), *(Direction(self.trunk, axis) for axis in np.eye(3))
-
-    @property
-    def parameters(self) -> Array:
-        """All numbers, which are live."""
-        return self.numbers
-
-    @property
-    def live(self) -> Array:
-        """All numbers."""
-        return self.numbers
 
 
 @dataclass(eq=False)

@@ -106,6 +106,13 @@ def test_a_changed_file_is_read_again(tmp_path):
     assert load_model(config).name == "another"
 
 
+def test_the_encoding_that_a_published_text_declares_is_not_that_of_the_text():
+    """It is that of the file; the text of a message has been decoded already."""
+    text = POPPY.read_text(encoding="utf-8").partition("?>")[2].replace('"poppy_humanoid"', '"Poppy é"')
+    model = parse_model(f'<?xml version="1.0" encoding="ISO-8859-1"?>{text}', RobotConfig())
+    assert model.name == "Poppy é"
+
+
 # ---------------------------------------------------------------------- subsets of joints
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,7 +13,8 @@ import pytest
 
 from dqwalk_ros import cli
 from dqwalk_ros.cli.evidence import table
-from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.plants import mujoco
+from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.studies import evidence, robustness
 from dqwalk_ros.studies.evidence import Outcome, Row, bounds, points, read
@@ -102,12 +105,21 @@ def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: py
     assert "none.yaml" in capsys.readouterr().err
 
 
-def test_a_row_with_cmd_vel_is_steered_and_ends_after_its_course() -> None:
+def test_a_row_with_cmd_vel_is_steered_and_ends_after_its_course(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shapes that MuJoCo cannot read do not spoil the walk."""
+    mesh = '<collision><geometry><mesh filename="none.stl"/></geometry></collision></link>'
+
+    def unreadable(model: RobotModel, q: np.ndarray) -> Counter[str]:
+        return own_contacts(replace(model, urdf=model.urdf.replace("</link>", mesh)), q)
+
+    own_contacts = mujoco.own_contacts
+    monkeypatch.setattr(mujoco, "own_contacts", unreadable)
     row = evidence.Row("a", "poppy_dynamic", cmd_vel=["0.05,0,0,3"], set={"qp.solver": "daqp"})
     outcome = evidence._evaluate({"a": row}, {"a": row.made()}, 0, {"row": "a", "engine": "physics", "seed": 1})
     assert outcome.ok, outcome.reason
     assert outcome.speed is not None
     assert 0.005 < outcome.speed < 0.05
+    assert outcome.touching is None
 
 
 @pytest.mark.long

@@ -264,9 +264,8 @@ class DynamicWalk(SteppingWalk):
         s = self.config.standing
         kin = Kinematics(self.model, q_start, support)
         x = DQ(swing_target)
-        self._on_stairs |= bool(
-            level_of(float(x.translation()[2]), self.config)
-        )  # here, so that a monitor knows it, too
+        # here, so that a monitor, which has the phases only, knows it, too
+        self._on_stairs |= bool(level_of(float(x.translation()[2]), self.config))
         task = FollowPose(
             name="swing",
             weight=s.swing_weight,
