@@ -14,7 +14,8 @@ from benchmark.timing import machine, table  # first: it sets the number of thre
 from dqwalk_ros.config import load
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, simulate
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.walks.table import make_controller
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.table import plant_type
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller
+from dqwalk_ros.walks.table import make_controller
 
 CHUNK = 100
 WALKS = {"poppy": 0.015, "poppy_dynamic": 0.1}

@@ -41,9 +41,10 @@ from dqwalk_ros.paper.statics import GRAVITY, share
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.urdf import Urdf
-from dqwalk_ros.simulation import closed_loop, make_controller, make_walk
+from dqwalk_ros.simulation import closed_loop
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.support.errors import DqwalkError
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 ROBOT = Path("test/data/small_humanoid.urdf")
 TIMINGS = ((0.33, 0.2), (0.5, 0.08), (0.5, 0.2), (0.7, 0.2))  # single and double support [s]

@@ -18,13 +18,13 @@ _MODULE_OF = {
     "RobotModel": "robot.model",
     "load_model": "robot.model",
     "Kinematics": "paper.kinematics",
-    "Phase": "paper.walk",
+    "Phase": "paper.phase",
     "VelocityController": "controller",
-    "make_controller": "simulation",
-    "make_walk": "simulation",
+    "make_controller": "walks.table",
+    "make_walk": "walks.table",
     "KinematicPlant": "plants.kinematic",
     "simulate": "simulation",
-    "Trace": "simulation",
+    "Trace": "trace",
 }
 
 __all__ = ["__version__", *_MODULE_OF]

@@ -7,7 +7,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_walk
+from dqwalk_ros.walks.table import make_walk
 
 config = load("paper")  # section 5 of the paper
 model = load_model(config.robot)

@@ -1,7 +1,8 @@
 """The standing walk in MuJoCo: one step of the whole Poppy (pip install mujoco)."""
 
 from dqwalk_ros import load, load_model, make_controller
-from dqwalk_ros.simulation import make_plant, simulate
+from dqwalk_ros.plants.table import make_plant
+from dqwalk_ros.simulation import simulate
 
 config = load("poppy").updated({"gait.steps": 1})
 model = load_model(config.robot)

@@ -3,7 +3,8 @@
 import numpy as np
 
 from dqwalk_ros import load, load_model, make_controller
-from dqwalk_ros.simulation import closed_loop, make_plant
+from dqwalk_ros.plants.table import make_plant
+from dqwalk_ros.simulation import closed_loop
 
 config = load("poppy").updated({"gait.steps": 0})
 model = load_model(config.robot)

@@ -21,10 +21,12 @@ from benchmark.timing import machine, table  # first: it sets the number of thre
 from dqwalk_ros.adopt import adopt
 from dqwalk_ros.adopt.trial import first_walks
 from dqwalk_ros.config import Config, load, overlaid
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import DqwalkError
+from dqwalk_ros.walks.table import make_controller
 
 
 def row(path: Path, out: Path) -> list[Any]:

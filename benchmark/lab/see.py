@@ -34,7 +34,8 @@ from dqwalk_ros.config import Config, load, to_yaml
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, simulate
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.walks.table import make_controller
 
 SIZE = {"width": 1000, "height": 500}
 MIDDLE = slice(350, 670)

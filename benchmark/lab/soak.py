@@ -25,7 +25,8 @@ from dqwalk_ros.cli.runner import run_walk
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, simulate
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.walks.table import make_controller
 
 GROWTH = 5.0
 """Largest permitted growth of a node after the first minute [MB]."""

@@ -12,13 +12,16 @@ from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
 from dqwalk_ros.adopt.parameters import Numbers, rounded
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import analyse, pelvis_in_odom
 from dqwalk_ros.report.verdict import violations
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.standing_limits import Finding
-from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import DqwalkError
+from dqwalk_ros.trace import Trace
+from dqwalk_ros.walks.table import make_controller
 
 __all__ = ["Trial", "cures", "dynamic_walk", "first_walks", "walk"]
 

@@ -85,14 +85,16 @@ def exercise(
             outcome = run_walk(made, out / "bag", plant=plant, lockstep=plant != "poppy", progress=bar)
             reason = "" if outcome.finished else str(outcome)
         else:
-            from dqwalk_ros import simulation
+            from dqwalk_ros.plants.table import make_plant
             from dqwalk_ros.report import bag
+            from dqwalk_ros.simulation import simulate
+            from dqwalk_ros.walks.table import make_controller
 
             bar(0.0, "computing postures")
             model = load_model(made.robot)
-            controller, body = simulation.make_controller(made, model), simulation.make_plant(plant, made, model)
+            controller, body = make_controller(made, model), make_plant(plant, made, model)
             total = duration(model, made.gait.cycles)
-            trace = simulation.simulate(
+            trace = simulate(
                 controller, body, before_step=lambda time: bar(time / total, f"{time:.0f} of {total:.0f} s")
             )
             bag.write(trace, out / "bag", diagnostics=False)

@@ -269,7 +269,7 @@ def config_of(
         If any of them is invalid.
     """
     from dqwalk_ros.config import load, overlaid, put_on, replaced
-    from dqwalk_ros.simulation import walk_type
+    from dqwalk_ros.walks.table import walk_type
 
     values: dict[str, Any] = {"gait.steps": 0} if course else {}
     values |= parse_overrides(changes)

@@ -23,12 +23,12 @@ from typing import Any, Self
 
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.plants.table import entry
-from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.compiled import COMPILING
 from dqwalk_ros.support.interrupts import deferred_interrupts
 from dqwalk_ros.support.output import write_text
 from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.walks.course import Course
+from dqwalk_ros.walks.table import walk_type
 
 __all__ = ["Outcome", "Processes", "environment", "private_domain", "run_walk"]
 

@@ -43,14 +43,16 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
     from dqwalk_ros import simulation
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
+    from dqwalk_ros.plants.table import make_plant
     from dqwalk_ros.report import analyse, bag
     from dqwalk_ros.report.table import why
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.walks.course import Course
+    from dqwalk_ros.walks.table import make_controller
 
     model, legs = load_model(config.robot), Course.parse(course)
-    controller = simulation.make_controller(config, model)
-    body = simulation.make_plant(plant, config, model)
+    controller = make_controller(config, model)
+    body = make_plant(plant, config, model)
     with contextlib.ExitStack() as stack:
         feed = None
         if view:

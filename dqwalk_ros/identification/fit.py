@@ -30,10 +30,10 @@ from dqwalk_ros.plants.base import upward
 from dqwalk_ros.plants.mujoco import held_torques
 from dqwalk_ros.plants.servo_goals import ServoGoals
 from dqwalk_ros.robot.servos import IDENTIFIED, Servos
-from dqwalk_ros.simulation import Trace
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.trace import Trace
 
 __all__ = ["NAMES", "Identified", "Mounting", "goals_of", "identify", "parameters"]
 

@@ -12,9 +12,10 @@ from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.robot.model import parse_model
 from dqwalk_ros.robot.servos import Servos
-from dqwalk_ros.simulation import Trace, make_walk
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.trace import Trace
+from dqwalk_ros.walks.table import make_walk
 
 __all__ = ["replay", "require_exercise"]
 

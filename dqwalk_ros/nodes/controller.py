@@ -34,10 +34,11 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.simulation import make_controller, walk_type, warm_up
+from dqwalk_ros.simulation import warm_up
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
 from dqwalk_ros.walks.stepping import SteppingWalk
+from dqwalk_ros.walks.table import make_controller, walk_type
 
 __all__ = ["Controller", "Mode"]
 

@@ -16,9 +16,9 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import analyse
-from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace
 
 __all__ = ["FallCause"]
 

@@ -21,10 +21,10 @@ from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel, parse_model
-from dqwalk_ros.simulation import make_walk, refuse_foreign_code
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import TOPICS
+from dqwalk_ros.walks.table import make_walk, refuse_foreign_code
 
 __all__ = ["PhaseLog", "PhasePublisher"]
 

@@ -265,7 +265,7 @@ class Physics(SimulatedPlant):
 
     def make_plant(self) -> Plant:
         """Return the robot on its soles."""
-        from dqwalk_ros.simulation import make_plant  # the integrator runs without the dependencies of physics
+        from dqwalk_ros.plants.table import make_plant  # the integrator runs without the dependencies of physics
 
         return make_plant(self.config.plant.name or "physics", self.config, self.model)
 

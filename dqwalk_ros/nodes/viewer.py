@@ -24,10 +24,10 @@ from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.report.scene import Moment, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.walks.course import speeds
+from dqwalk_ros.walks.table import walk_type
 
 __all__ = ["Viewer"]
 

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 from dqwalk_ros.support.errors import PlantError, how_to_install
 
 if TYPE_CHECKING:  # the help texts list the plants, and import no numpy
+    from dqwalk_ros.config import Config
     from dqwalk_ros.plants.base import Plant
+    from dqwalk_ros.robot.model import RobotModel
 
-__all__ = ["PHYSICS", "PLANTS", "SIMULATORS", "Entry", "entry", "plant_type"]
+__all__ = ["PHYSICS", "PLANTS", "SIMULATORS", "Entry", "entry", "make_plant", "plant_type"]
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,26 @@ def plant_type(name: str) -> type[Plant]:
     if not found.type:
         raise PlantError(f"'{name}' is {found.meaning}; only its node {found.node} runs it")
     return _imported(found.type)
+
+
+def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
+    """Return a simulator with the robot in the initial posture of its walk.
+
+    Parameters
+    ----------
+    name : str
+        A name of `SIMULATORS`, or MODULE:CLASS; `config` contains its parameters.
+    config : Config
+    model : RobotModel
+
+    Raises
+    ------
+    PlantError
+        If there is no such simulator, or the physics engine is not installed.
+    """
+    from dqwalk_ros.walks.table import make_walk
+
+    return plant_type(name).of(config, model, make_walk(config, model).posture)
 
 
 def _imported(name: str) -> type[Plant]:

@@ -14,8 +14,8 @@ from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive, Servos
-from dqwalk_ros.simulation import Trace
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.trace import Trace
 
 __all__ = ["Load", "limits_at", "limits_reached", "most_loaded"]
 

@@ -23,9 +23,9 @@ from dqwalk_ros.paper.kinematics import Kinematics, compose, support_tree
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.plants.base import tilt
 from dqwalk_ros.robot.model import RobotModel, Sole, parse_model
-from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace
 
 __all__ = [
     "Circle", "Ending", "Ground", "Series", "Span", "analyse", "commanded_way", "hull_margin", "middle",

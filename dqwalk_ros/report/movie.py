@@ -23,10 +23,10 @@ from dqwalk_ros.plants.mujoco import build
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.scene import BodyShape, shapes_of
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.simulation import Trace
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 from dqwalk_ros.support.output import written
+from dqwalk_ros.trace import Trace
 
 __all__ = ["Camera", "frames", "save_movie", "save_strip", "scenery_of"]
 

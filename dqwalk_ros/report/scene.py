@@ -28,9 +28,10 @@ from dqwalk_ros.robot.model import RobotModel, find_urdf
 from dqwalk_ros.robot.shapes import PRIMITIVES, kind_and_size, meshes_of, rgba_of
 from dqwalk_ros.robot.standing_limits import divergent_component
 from dqwalk_ros.robot.urdf import Urdf, pose_of
-from dqwalk_ros.simulation import Trace, make_walk
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.trace import Trace
+from dqwalk_ros.walks.table import make_walk
 
 __all__ = [
     "BodyShape",

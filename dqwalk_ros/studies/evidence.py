@@ -19,9 +19,10 @@ from dqwalk_ros.config import Config, find_share, load, overlaid, put_on
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.metrics import shortfall
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_plant, simulate, walk_type
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.studies.runner import Store, run
@@ -29,6 +30,7 @@ from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError, listed
 from dqwalk_ros.walks.course import Course
 from dqwalk_ros.walks.stepping import SteppingWalk
+from dqwalk_ros.walks.table import make_controller, walk_type
 
 __all__ = ["Outcome", "Row", "bounds", "collect", "points", "read"]
 

@@ -24,13 +24,15 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind, Timed
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.base import pushed_periods
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
+from dqwalk_ros.simulation import closed_loop
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.loads import Bottle, ConstantForce, Load, drop, farthest_momentum
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.errors import DqwalkError, PlantError
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 __all__ = ["MOMENTS", "Limit", "Push", "every_limit", "impulse_scale", "limit", "limits", "pushed", "robocup_measure"]
 

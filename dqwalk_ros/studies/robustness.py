@@ -16,15 +16,17 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.phase import Phase, PhaseKind
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.binding import limits_at
 from dqwalk_ros.report.metrics import TIPPED, commanded_way, middle, shortfall
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.servos import Servos
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
+from dqwalk_ros.simulation import closed_loop
 from dqwalk_ros.studies.plan import MAX_WALKS, digest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
+from dqwalk_ros.walks.table import make_controller
 
 __all__ = ["Cell", "Outcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
 

@@ -17,12 +17,13 @@ from dqwalk_ros.config import Config, RobotConfig
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.simulation import make_controller, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.plan import OWN, Study
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, StudyError
 from dqwalk_ros.support.output import written
+from dqwalk_ros.walks.table import make_controller
 
 __all__ = ["Outcome", "set_up", "walk", "walk_all"]
 

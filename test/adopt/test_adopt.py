@@ -20,12 +20,14 @@ from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.support.errors import ConfigError, ModelError
+from dqwalk_ros.walks.table import make_controller
 
 DATA = Path(__file__).parents[1] / "data"
 SMALL, SMALLER = DATA / "small_humanoid.urdf", DATA / "smaller_humanoid.urdf"

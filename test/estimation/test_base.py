@@ -18,7 +18,9 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
+from dqwalk_ros.plants.table import make_plant
+from dqwalk_ros.simulation import closed_loop
+from dqwalk_ros.walks.table import make_controller
 
 POPPY = dq.load("poppy")
 MODEL = dq.load_model(POPPY.robot)

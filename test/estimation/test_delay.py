@@ -9,8 +9,8 @@ import dqwalk_ros as dq
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.simulation import make_controller, make_walk
 from dqwalk_ros.studies import robustness
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 CONFIG = dq.load("poppy")
 MODEL = dq.load_model(CONFIG.robot)

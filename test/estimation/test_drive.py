@@ -9,8 +9,10 @@ import pytest
 
 import dqwalk_ros as dq
 from dqwalk_ros.estimation.drive import DriveWatch
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
+from dqwalk_ros.simulation import closed_loop
+from dqwalk_ros.walks.table import make_controller
 
 N, STIFFNESS, DELAY = 4, 50.0, 0.05
 

@@ -14,8 +14,10 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, report
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.walks.table import make_controller
 
 CONFIG = overlaid(dq.load("poppy_dynamic"), "physics")
 MODEL = dq.load_model(CONFIG.robot)

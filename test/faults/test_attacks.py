@@ -18,9 +18,9 @@ from rclpy.serialization import serialize_message
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.bag.storage import load as load_bag
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_plant
 from dqwalk_ros.support.errors import PlantError
 
 PAPER = load("paper").updated({"dt": 0.02})

@@ -23,9 +23,9 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.simulation import make_plant
 
 POPPY = overlaid(load("poppy"), "ros2_control")
 MODEL = load_model(POPPY.robot)

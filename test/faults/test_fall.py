@@ -15,8 +15,9 @@ from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.base import Inertial, orientation_of, upward
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_plant, make_walk
+from dqwalk_ros.walks.table import make_walk
 
 CONFIG = overlaid(load("poppy"), "physics")
 MODEL = load_model(CONFIG.robot)

@@ -19,8 +19,8 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import Inertial
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_plant
 
 SENSORS = {
     "sensors.attitude_noise": 0.004,

@@ -19,9 +19,11 @@ from dqwalk_ros.nodes.fall_watch import Contradictions
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.base import Inertial, upward
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant
+from dqwalk_ros.simulation import closed_loop
 from dqwalk_ros.studies.robustness import assumed
+from dqwalk_ros.walks.table import make_controller
 
 CONFIG = overlaid(load("poppy"), "poppy_as_built")
 MODEL = load_model(CONFIG.robot)

@@ -20,8 +20,10 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, PhaseKind
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import Plant
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, make_walk
+from dqwalk_ros.simulation import closed_loop
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 MOMENTS = 20
 """Instants of one step: the second double support of a walk, and the single support after it."""

@@ -19,8 +19,10 @@ from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Sensors
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive, Servos
-from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import BagError, ConfigError
+from dqwalk_ros.trace import Trace
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 pytestmark = pytest.mark.timeout(900)  # compilation is slow on a loaded machine
 AS_BUILT = overlaid(dq.load("poppy"), "poppy_as_built")

@@ -17,8 +17,8 @@ from nav_msgs.msg import Odometry
 
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_plant
 
 
 @dataclass(frozen=True)

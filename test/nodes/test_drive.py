@@ -16,9 +16,9 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.simulation import make_plant
 from dqwalk_ros.support.errors import ConfigError
 
 POPPY = overlaid(load("poppy"), "ros2_control")

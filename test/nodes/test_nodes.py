@@ -23,8 +23,9 @@ from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.topics import OPTIONAL, TOPICS
+from dqwalk_ros.walks.table import make_controller
 
 PAPER = load("paper")
 MODEL = load_model(PAPER.robot)

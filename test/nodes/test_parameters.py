@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 
 from dqwalk_ros.config import Config, from_yaml, load, since, to_yaml
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.table import make_controller
 
 QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "gait.steps": 2}
 CONFIG = load("poppy").updated(QUICK)

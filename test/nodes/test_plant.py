@@ -23,11 +23,13 @@ from dqwalk_ros.nodes.inputs import Steering
 from dqwalk_ros.nodes.state_gate import InertialGate
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import State
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.topics import TOPICS
+from dqwalk_ros.walks.table import make_controller
 
 CONFIG = overlaid(load("poppy"), "physics")
 PAPER = load("paper")

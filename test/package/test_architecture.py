@@ -20,6 +20,7 @@ RINGS = (
     "controller",
     "walks",
     "plants",
+    "trace",
     "simulation",
     "report",
     "identification",

@@ -19,9 +19,9 @@ from dqwalk_ros.cli import dqwalk
 from dqwalk_ros.config import Config, load, put_on
 from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of, sections_of
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS
 from dqwalk_ros.walks.course import speeds
+from dqwalk_ros.walks.table import walk_type
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

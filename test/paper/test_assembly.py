@@ -21,8 +21,8 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.tasks import Posture
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.walks.table import make_walk
 
 
 def configurations(count, seed=0):

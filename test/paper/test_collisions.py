@@ -25,8 +25,9 @@ from dqwalk_ros.paper.features import Direction, Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.robot.shapes import capsule_around
-from dqwalk_ros.simulation import make_controller, make_walk, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 MODEL = load_model(load("paper").robot)
 SHIN = "0.0 0.0 -0.02 0.0 0.0 -0.15 0.03"

@@ -12,8 +12,8 @@ from dqwalk_ros.paper.qp.infeasible import conflicts, explained, lead_back
 from dqwalk_ros.paper.qp.problem import Problem
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.support.errors import QPError
+from dqwalk_ros.walks.table import make_controller
 
 
 def problem(

@@ -10,8 +10,6 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.report.scene import Moments, Scene
 from dqwalk_ros.report.verdict import Assessor
-from dqwalk_ros.simulation import make_walk
-from dqwalk_ros.support.errors import ConfigError
 
 CONFIG = load("paper").updated({"gait.walk": "own_walk:HighWalk"})
 MODEL = load_model(CONFIG.robot)
@@ -60,9 +58,3 @@ def test_a_phase_of_its_own_is_judged_by_its_own_rule():
     assert [phase.name for phase in trace.phases] == ["stance/left", "double_support/left"]
     found = report(analyse(trace))
     assert "foot's centre" not in str(found["violations"])  # a stance does not transfer the CoM
-
-
-@pytest.mark.parametrize("name", ["own_walk", "own_walk:LowWalk", "nowhere:HighWalk", "own_walk:ComAbove", ":"])
-def test_an_unknown_walk_class_is_refused(name):
-    with pytest.raises(ConfigError, match=r"gait\.walk is"):
-        make_walk(CONFIG.updated({"gait.walk": name}), MODEL)

@@ -15,8 +15,8 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.clarabel import ClarabelSolver
-from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.support.errors import QPError
+from dqwalk_ros.walks.table import make_walk
 
 DT = 0.005
 

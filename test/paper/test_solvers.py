@@ -16,8 +16,8 @@ from dqwalk_ros.paper.qp.clarabel import ClarabelSolver, _ClarabelProgram
 from dqwalk_ros.paper.qp.daqp import DaqpSolver
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.support.errors import ConfigError, QPError
+from dqwalk_ros.walks.table import make_controller
 
 SOLVERS = {"clarabel": ClarabelSolver, "daqp": DaqpSolver}
 

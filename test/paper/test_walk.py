@@ -15,8 +15,8 @@ from dqwalk_ros.paper.phase import EndRule, PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.walk import PaperWalk
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.support.errors import PhaseError, StateError
+from dqwalk_ros.walks.table import make_controller
 
 PAPER = load("paper")
 FAST = {"task.eta": 0.5, "task.damping": 0.03, "gait.phase_timeout": 60.0}

@@ -17,9 +17,11 @@ from dqwalk_ros.paper.state import Command
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.engine import standing_root
 from dqwalk_ros.plants.mujoco import PhysicsPlant
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.walks.table import make_controller
 
 pytest.importorskip("pydrake", reason="there is no wheel of Drake for this machine")
 from dqwalk_ros.plants.drake import DrakePlant

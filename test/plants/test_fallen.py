@@ -13,8 +13,8 @@ from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.engine import standing_root
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_plant
 
 CONFIG = overlaid(load("poppy"), "physics").updated({"physics.settle": 0.1})
 FLOOR = """<robot name="poppy_humanoid">

@@ -16,8 +16,8 @@ from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.poppy.plant import MIN_SPEED, Motor, PoppyPlant, load_motors, register_speed
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.support.errors import ConfigError, PlantError
+from dqwalk_ros.walks.table import make_controller
 
 KNEE = MODEL.joint_names.index("l_knee_y")
 

@@ -22,7 +22,8 @@ from dqwalk_ros.plants.servo_goals import AngleGate, ServoGoals
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.simulation import make_controller, make_walk, simulate
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 CONFIG = overlaid(dq.load("poppy"), "poppy_as_built").updated({"qp.solver": "daqp"})
 DYNAMIC = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built")

@@ -18,7 +18,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.figures import drawn, figure7, figure8, figure9, top_view
 from dqwalk_ros.report.metrics import commanded_way, hull_margin, pelvis_in_odom, shortfall
 from dqwalk_ros.report.table import numbers
-from dqwalk_ros.simulation import PhysicsRecord
+from dqwalk_ros.trace import PhysicsRecord
 
 RED = "#d1242f"
 

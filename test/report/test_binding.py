@@ -15,7 +15,9 @@ from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import analyse
 from dqwalk_ros.report.binding import limits_at, limits_reached, most_loaded
 from dqwalk_ros.robot.servos import Servos
-from dqwalk_ros.simulation import PhysicsRecord, Trace, make_controller, make_walk, simulate
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.trace import PhysicsRecord, Trace
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 CONFIG = overlaid(dq.load("poppy_dynamic"), "physics").updated({"servo.types": ("*=MX-28", "?_hip_y=MX-64")})
 MODEL = dq.load_model(CONFIG.robot)

@@ -15,12 +15,15 @@ from dqwalk_ros import cli
 from dqwalk_ros.adopt.trial import cures
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.plants.base import orientation_of, upward
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.html import page
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.standing_limits import Finding, longest_delay
-from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.trace import Trace
+from dqwalk_ros.walks.table import make_controller
 
 CONFIG = overlaid(load("poppy"), "physics").updated({"gait.steps": 4, "gait.recover": ""})
 MODEL = load_model(CONFIG.robot)

@@ -18,10 +18,12 @@ from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import upward
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Reading, Sensors
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.servos import Drive, Servos, load_types
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate
+from dqwalk_ros.simulation import closed_loop, simulate
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.table import make_controller
 
 CONFIG = dq.load("poppy")
 MODEL = dq.load_model(CONFIG.robot)

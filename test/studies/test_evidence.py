@@ -15,10 +15,10 @@ from dqwalk_ros import cli
 from dqwalk_ros.cli.evidence import table
 from dqwalk_ros.plants import mujoco
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.simulation import make_controller
 from dqwalk_ros.studies import evidence, robustness
 from dqwalk_ros.studies.evidence import Outcome, Row, bounds, points, read
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.table import make_controller
 
 
 def test_the_shipped_rows_are_valid_and_each_is_walked_in_every_engine() -> None:

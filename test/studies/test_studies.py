@@ -30,11 +30,11 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_walk
 from dqwalk_ros.studies import loads, pushes, read, robustness, walk_all
 from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.errors import ConfigError, ModelError, PlantError, StudyError
+from dqwalk_ros.walks.table import make_walk
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT = (

@@ -15,7 +15,7 @@ from dqwalk_ros import load, load_model, make_controller, simulate
 from dqwalk_ros.config import Config
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report.bag.storage import typestore
-from dqwalk_ros.simulation import PhaseRecord, Trace
+from dqwalk_ros.trace import PhaseRecord, Trace
 
 SHORT = {"dt": 0.04, "task.eta": 0.4, "dsp.eta_ground": 20.0, "ssp.threshold": 4e-3, "dsp.stall_rate": 1e-3}
 """Eight times as fast as the paper; Euler integration at this speed needs the higher `dsp.eta_ground`."""

@@ -13,7 +13,8 @@ from robots import legs
 from dqwalk_ros.adopt import trial
 from dqwalk_ros.config import load
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.simulation import closed_loop, make_controller, simulate
+from dqwalk_ros.simulation import closed_loop, simulate
+from dqwalk_ros.walks.table import make_controller
 
 PAPER = load("paper")
 

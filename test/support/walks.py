@@ -18,7 +18,9 @@ from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.qp.problem import Problem
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.simulation import Trace, make_controller, make_walk, simulate
+from dqwalk_ros.simulation import simulate
+from dqwalk_ros.trace import Trace
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 Array = NDArray[np.float64]
 

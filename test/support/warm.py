@@ -17,9 +17,11 @@ from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.estimation.base import BaseEstimator
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, compose
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.compiled import digest
+from dqwalk_ros.walks.table import make_controller
 
 
 def walks() -> None:

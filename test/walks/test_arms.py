@@ -17,9 +17,9 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_walk
 from dqwalk_ros.support.errors import ConfigError, ModelError, StateError
 from dqwalk_ros.walks.arms import Arms, JointPath
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "node.robot_description": False}
 CONFIG = put_on(load("poppy"), [Path("arms")]).updated({"gait.steps": 0, "gait.recover": "", **QUICK})

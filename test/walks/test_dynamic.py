@@ -21,8 +21,9 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.walk import Walk
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, bag, report
-from dqwalk_ros.simulation import closed_loop, make_controller, make_plant, simulate, warm_up
+from dqwalk_ros.simulation import closed_loop, simulate, warm_up
 from dqwalk_ros.studies import robustness
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.support import strict_yaml
@@ -35,6 +36,7 @@ from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.following import FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
+from dqwalk_ros.walks.table import make_controller
 
 CONFIG = dq.load("poppy_dynamic")
 MODEL = dq.load_model(CONFIG.robot)

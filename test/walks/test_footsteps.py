@@ -14,11 +14,13 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.standing.walk import StandingWalk
+from dqwalk_ros.walks.table import make_controller
 
 QUICK = {"standing.transfer_duration": 0.5, "standing.swing_duration": 0.5, "node.robot_description": False}
 CONFIG = load("poppy").updated({"gait.steps": 0, **QUICK})

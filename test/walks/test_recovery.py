@@ -17,14 +17,17 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import State
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, bag, report
-from dqwalk_ros.simulation import Trace, make_controller, make_plant, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.pushes import Push, limits, pushed
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.dynamic import recovery
 from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.standing.walk import StandingWalk
+from dqwalk_ros.walks.table import make_controller
 
 CONFIG = overlaid(dq.load("poppy"), "physics").updated({"qp.solver": "daqp"})
 MODEL = dq.load_model(CONFIG.robot)

@@ -22,15 +22,17 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.statics import gravity_torques, ground_torques
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.scene import Moments, Scene
 from dqwalk_ros.report.verdict import _returned
-from dqwalk_ros.simulation import make_controller, make_plant, make_walk, simulate
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError, PhaseError, PlantError
 from dqwalk_ros.walks.com import com_velocity
 from dqwalk_ros.walks.following import ComPath, SwingPath, com_path
 from dqwalk_ros.walks.standing.balance import Balance
 from dqwalk_ros.walks.standing.walk import PathEnd, StandingWalk
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 CONFIG = dq.load("poppy")
 MODEL = dq.load_model(CONFIG.robot)

@@ -17,13 +17,15 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.base import upward
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.metrics import Circle
 from dqwalk_ros.report.viewer.page import _COURSES
-from dqwalk_ros.simulation import make_controller, make_plant, simulate, walk_type
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.course import Course, Leg, speeds
 from dqwalk_ros.walks.standing.walk import StandingWalk
+from dqwalk_ros.walks.table import make_controller, walk_type
 
 CONFIG = dq.load("poppy").updated({"gait.steps": 0})
 MODEL = dq.load_model(CONFIG.robot)

@@ -15,10 +15,10 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.report.bag.messages import NS, JointStates, Stamps, joint_states, texts
 from dqwalk_ros.report.bag.storage import Column, Content, Source, content_of
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
-from dqwalk_ros.simulation import refuse_foreign_code
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.errors import BagError, ConfigError, ModelError, listed
 from dqwalk_ros.support.topics import Topic
+from dqwalk_ros.walks.table import refuse_foreign_code
 
 __all__ = ["Recording", "is_body", "open_recording"]
 

@@ -37,11 +37,11 @@ from dqwalk_ros.report.bag.storage import Column, Source, write_columns
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.simulation import PhaseRecord, PhysicsRecord, Trace, known_loads
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError, listed
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
+from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace, known_loads
 
 __all__ = ["read", "read_orientations", "write"]
 

@@ -21,9 +21,9 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Moment, NamedRegion, Scene, View, tightest
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
-from dqwalk_ros.simulation import walk_type
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ViewerError
+from dqwalk_ros.walks.table import walk_type
 
 __all__ = ["HOST", "Page"]
 

@@ -32,9 +32,9 @@ from dqwalk_ros.report.scene import Moment, Moments, Scene
 from dqwalk_ros.report.viewer.page import FRAME, Page
 from dqwalk_ros.report.viewer.panels import History
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.simulation import PhaseRecord, Trace
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, ViewerError
+from dqwalk_ros.trace import PhaseRecord, Trace
 
 __all__ = ["Feed", "Player"]
 

@@ -1,0 +1,83 @@
+"""The walks, one for each ``gait.style`` and a user's own by MODULE:CLASS, and the controller that executes one."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.controller import VelocityController
+from dqwalk_ros.paper.walk import PaperWalk, Walk
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
+from dqwalk_ros.walks.dynamic.walk import DynamicWalk
+from dqwalk_ros.walks.standing.walk import StandingWalk
+
+__all__ = ["WALKS", "make_controller", "make_walk", "refuse_foreign_code", "walk_type"]
+
+WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk, "dynamic": DynamicWalk}
+"""Class of the walk of each ``gait.style``."""
+
+
+def walk_type(config: Config) -> type[Walk]:
+    """Return the class of the walk that `config` describes: that of ``gait.walk`` if given, else of ``gait.style``.
+
+    Raises
+    ------
+    ConfigError
+        If ``gait.walk`` is not MODULE:CLASS, the class cannot be imported, or it is not a subclass of `Walk`.
+    """
+    own = config.gait.walk
+    if not own:
+        recovers = config.gait.style == "standing" and config.gait.recover
+        return RecoveringWalk if recovers else WALKS[config.gait.style]
+    module, _, name = own.partition(":")
+    if not (module and name):
+        raise ConfigError(f"gait.walk is '{own}'; it must be MODULE:CLASS")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"gait.walk is '{own}'; the class cannot be imported: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Walk)):
+        raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.paper.walk.Walk")
+    return found
+
+
+def refuse_foreign_code(config: Config, trusted: str = "") -> None:
+    """Check a configuration that the user has not chosen, such as that of a recording or of a topic.
+
+    A class is imported from a module, which executes it, so data may name no class but those of this package.
+
+    Parameters
+    ----------
+    trusted : str
+        The value of ``gait.walk`` that the user has given.
+
+    Raises
+    ------
+    ConfigError
+        If ``gait.walk`` names another class.
+    """
+    own = config.gait.walk
+    if own not in ("", trusted) and own.partition(":")[0].partition(".")[0] != "dqwalk_ros":
+        raise ConfigError(
+            f"the walk is of the class {own!r:.100}, which is not imported because data name it; if you trust it, name "
+            f"it yourself: --walk {own[:100]} (a node: -p gait.walk:={own[:100]})"
+        )
+
+
+def make_walk(config: Config, model: RobotModel) -> Walk:
+    """Return a new walk as `config` describes it."""
+    return walk_type(config)(config, model)
+
+
+def make_controller(config: Config, model: RobotModel) -> VelocityController:
+    """Return a new controller as `config` describes it.
+
+    Raises
+    ------
+    ConfigError
+        As `walk_type`, and if ``gait.recover`` is not the configuration of a dynamic walk.
+    """
+    return VelocityController(config, model, walk_type(config))
