@@ -1,4 +1,4 @@
-"""The trace of a walk: its states, commands and phases, and the ground truth of a physics engine."""
+"""The record of a walk: its states, commands and phases, and the ground truth of a physics engine."""
 
 from __future__ import annotations
 
@@ -22,7 +22,36 @@ from dqwalk_ros.support import provenance
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.walks.table import make_walk
 
-__all__ = ["PhaseRecord", "PhysicsRecord", "Trace", "TraceRecorder", "known_loads"]
+__all__ = ["PhaseRecord", "PhysicsRecord", "Recorded", "Trace", "TraceRecorder", "known_loads"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What is recorded of every walk, also of one of the whole body: N states of a robot.
+
+    Attributes
+    ----------
+    config : Config
+    model : RobotModel
+    time : ndarray, shape (N,)
+        Times of the states [s].
+    q : ndarray, shape (N, n)
+        Measured joint angles [rad].
+    notes : tuple of str
+        Errors of the walk, and data that the recording lacks.
+    origin : mapping of str to str
+        Software versions and machine (`dqwalk_ros.support.provenance`); empty if unknown.
+    """
+
+    config: Config
+    model: RobotModel
+    time: Array
+    q: Array
+    notes: tuple[str, ...] = ()
+    origin: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return int(self.time.shape[0])
 
 
 @dataclass(frozen=True)
@@ -138,18 +167,12 @@ class PhysicsRecord:
         )
 
 
-@dataclass(frozen=True)
-class Trace:
-    """A recorded walk of N states.
+@dataclass(frozen=True, kw_only=True)
+class Trace(Recorded):
+    """A recorded walk of phases.
 
     Attributes
     ----------
-    config : Config
-    model : RobotModel
-    time : ndarray, shape (N,)
-        Times of the states [s].
-    q : ndarray, shape (N, n)
-        Measured joint angles [rad].
     u : ndarray, shape (N, n)
         Joint velocities commanded for each state [rad/s]; nan without a command.
     phases : tuple of PhaseRecord
@@ -157,10 +180,6 @@ class Trace:
         Time taken by the solver [s]; nan if unknown.
     finished : bool
         Whether the walk was finished.
-    notes : tuple of str
-        Errors of the walk, and data that the recording lacks.
-    origin : mapping of str to str
-        Software versions and machine (`dqwalk_ros.support.provenance`); empty if unknown.
     physics : PhysicsRecord or None
         Data of the physics engine, if the plant was one.
     loads : ndarray, shape (N, 2), or None
@@ -173,24 +192,15 @@ class Trace:
         Whether the recording is damaged or cut off before the end of the walk, so that this end is not known.
     """
 
-    config: Config
-    model: RobotModel
-    time: Array
-    q: Array
     u: Array
     phases: tuple[PhaseRecord, ...]
     solve_time: Array
     finished: bool
-    notes: tuple[str, ...] = ()
-    origin: Mapping[str, str] = field(default_factory=dict)
     physics: PhysicsRecord | None = None
     loads: Array | None = None
     epoch: int = 0
     interrupted: bool = False
     cut: bool = False
-
-    def __len__(self) -> int:
-        return int(self.time.shape[0])
 
     @property
     def spans(self) -> list[range]:

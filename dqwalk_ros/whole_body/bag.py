@@ -3,36 +3,35 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import numpy as np
 
-from dqwalk_ros.config import to_yaml
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.bag.messages import (
     NS,
+    Messages,
     Stamps,
     aligned,
     at_stamps,
     joint_states,
     pack,
     pack_joint_states,
+    pack_known,
     pack_poses,
     pose_of,
     stamped,
     stamps_of,
     tables,
-    text,
 )
-from dqwalk_ros.report.bag.recording import Recording, open_recording
+from dqwalk_ros.report.bag.recording import Recording, open_recording, preamble
 from dqwalk_ros.report.bag.storage import Column, Source, write_columns
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError
-from dqwalk_ros.support.provenance import to_text
 from dqwalk_ros.support.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
-from dqwalk_ros.whole_body.controller import BodyState
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
-from dqwalk_ros.whole_body.trace import BodyLog, WholeBodyTrace
+from dqwalk_ros.whole_body.trace import BodyLog
 
 __all__ = ["read_body", "write_body"]
 
@@ -40,7 +39,7 @@ __all__ = ["read_body", "write_body"]
 # ---------------------------------------------------------------------- writing
 
 
-def write_body(walked: WholeBodyTrace, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+def write_body(walked: BodyLog, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write a walk to the folder `path`, which is created when the bag is complete.
 
     Raises
@@ -52,18 +51,15 @@ def write_body(walked: WholeBodyTrace, path: str | os.PathLike[str], *, overwrit
     write_columns(path, topics, _columns(walked), overwrite=overwrite)
 
 
-def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
+def _columns(walked: BodyLog) -> list[Messages]:
     """Return stamps and messages of each topic, in the order of publication within one period."""
     model, stamps = walked.model, stamps_of(walked.time)
-    first = stamps[:1]
     targets, pushes = walked.scenario.targets, walked.scenario.pushes
     pushed, led = _when(pushes, stamps), _when(targets, stamps)
     impulses = np.array([(*impulse, 0.0, 0.0, 0.0) for _, impulse in pushes]).reshape(-1, 6)[: len(pushed)]
     places = DQ.from_pose(np.array([place for _, place in targets]).reshape(-1, 3)).vec8()[: len(led)]
     found = [
-        ("walk_config", first, [text(to_yaml(walked.config))]),
-        ("walk_origin", first, [text(to_text(walked.origin))]),
-        ("robot_description", first, [text(model.urdf)]),
+        *preamble(walked, stamps[:1]),
         ("push_applied", pushed, pack(stamped(BODY_TOPICS["push_applied"].type, ODOM), pushed, impulses)),
         ("base_pose", stamps, pack_poses(stamps, ODOM, walked.x_base)),
         ("base_twist", stamps, pack(stamped(BODY_TOPICS["base_twist"].type, model.pelvis), stamps, walked.v_base)),
@@ -72,10 +68,8 @@ def _columns(walked: WholeBodyTrace) -> list[tuple[str, Stamps, list[bytes]]]:
         ("joint_effort_commands", stamps, pack_joint_states(stamps, model.joint_names, effort=walked.effort)),
     ]
     for foot, column in zip(Foot, walked.wrenches.swapaxes(0, 1), strict=True):
-        stands = np.isfinite(column).all(axis=1)
         name = f"{foot.value}_wrench"
-        empty = stamped(BODY_TOPICS[name].type, ODOM)
-        found.append((name, stamps[stands], pack(empty, stamps[stands], column[stands])))
+        found.append(pack_known((name, BODY_TOPICS[name].type), ODOM, stamps, column))
     return found
 
 
@@ -106,17 +100,26 @@ def read_body(source: Source, *, namespace: str | None = None) -> BodyLog:
     if gaps := int(np.count_nonzero(np.diff(stamps) > 1.5 * NS * bag.config.dt)):
         notes.append(f"{gaps} gaps of one period or more between two states")
     begin, end = int(stamps[0]), int(stamps[-1])
-    time = (stamps - begin) / NS
-    q, dq, x = joints.position[rows], joints.velocity[rows], pose_of(poses)
-    states = tuple(BodyState(float(time[k]), q[k], dq=dq[k], x_base=x[k], v_base=twists[k]) for k in range(len(stamps)))
     wrenches = np.stack([aligned(columns.get(f"{foot.value}_wrench"), stamps, 6) for foot in Foot], axis=1)
     # of the targets before the first state, the last one applies
     led = {max(stamp, begin): place for stamp, place in _places(columns.get("hand_target_applied")) if stamp <= end}
     targets = tuple(((stamp - begin) / NS, place) for stamp, place in led.items())
     pushed = [(stamp, place) for stamp, place in _places(columns.get("push_applied")) if begin <= stamp <= end]
     pushes = tuple(((stamp - begin) / NS, impulse) for stamp, impulse in pushed)
-    scenario = _named(Scenario("recorded walk", len(stamps) * bag.config.dt, targets, pushes))
-    return BodyLog(bag.config, bag.model, scenario, states, efforts, wrenches, tuple(notes), bag.origin)
+    return BodyLog(
+        config=bag.config,
+        model=bag.model,
+        time=(stamps - begin) / NS,
+        q=joints.position[rows],
+        notes=tuple(notes),
+        origin=bag.origin,
+        scenario=_named(Scenario("recorded walk", len(stamps) * bag.config.dt, targets, pushes)),
+        dq=joints.velocity[rows],
+        x_base=pose_of(poses),
+        v_base=twists,
+        effort=efforts,
+        wrenches=wrenches,
+    )
 
 
 def _places(column: Column | None) -> list[tuple[int, tuple[float, float, float]]]:
@@ -144,12 +147,12 @@ def _efforts(bag: Recording) -> Array:
 
 
 def _named(scenario: Scenario) -> Scenario:
-    """Return the matching test of the paper, or the scenario itself if there is none."""
+    """Return the matching test of the paper, as long as it was recorded, or the scenario itself if there is none."""
     times = Scenario("Test 1, the paper's times", 14.0, PAPER_TIMES)
     for known in (*SCENARIOS.values(), times):
         if abs(known.duration - scenario.duration) < 0.05 and all(
             len(a) == len(b) and np.allclose([(t, *x) for t, x in a], [(t, *x) for t, x in b], atol=1e-6)
             for a, b in ((known.targets, scenario.targets), (known.pushes, scenario.pushes))
         ):
-            return known
+            return replace(known, duration=scenario.duration)
     return scenario

@@ -128,14 +128,14 @@ def retrace(log: BodyLog, *, progress: Progress | None = None) -> tuple[WholeBod
     plant = _RecordedPlant(log)
     controller = WholeBodyController(log.config, log.model)
     walked = follow(controller, plant, log.scenario, progress=progress)
-    return replace(walked, again=True, origin=log.origin), plant.off
+    return replace(walked, again=True, origin=log.origin, notes=log.notes), plant.off
 
 
 class _RecordedPlant(BodyPlant):
     """A plant that returns the recorded states and forces, regardless of the command."""
 
     def __init__(self, log: BodyLog) -> None:
-        super().__init__(log.states[0])
+        super().__init__(log.state(0))
         self._log, self.off = log, 0.0
 
     def _move(self, command: BodyCommand, time: float, dt: float) -> None:
@@ -144,8 +144,10 @@ class _RecordedPlant(BodyPlant):
         self.off = max(self.off, float(np.abs(command.effort - self.effort).max()))
         rows = zip(Foot, self._log.wrenches[done], strict=True)
         self.wrenches = {foot: row for foot, row in rows if np.isfinite(row).all()}
-        states, last = self._log.states, self._log.states[-1]
-        self.state = states[self._periods] if self._periods < len(states) else replace(last, time=last.time + dt)
+        if self._periods < len(self._log):
+            self.state = self._log.state(self._periods)
+        else:
+            self.state = replace(self.state, time=self.state.time + dt)
 
     def _hit(self, impulse: Array) -> None:
         """Do nothing: the recorded states contain the effect of the push."""

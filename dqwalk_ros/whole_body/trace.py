@@ -1,21 +1,20 @@
-"""The record of a whole-body walk: measurements, commands and preview of each control period."""
+"""The record of a whole-body walk: what a bag contains of it, and what the controller computed."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError
 from dqwalk_ros.support.provenance import here
+from dqwalk_ros.trace import Recorded
 from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 from dqwalk_ros.whole_body.scenario import Scenario
@@ -46,51 +45,41 @@ class Reaction:
     held: bool = False
 
 
-@dataclass(frozen=True)
-class BodyLog:
-    """The recorded data of a whole-body walk, as read from a bag.
+@dataclass(frozen=True, kw_only=True)
+class BodyLog(Recorded):
+    """What a bag contains of a whole-body walk.
 
     Attributes
     ----------
     scenario : Scenario
         Targets and pushes, at the times at which they took effect.
-    states : tuple of BodyState
-        States; their time is relative to the first one.
+    dq, x_base, v_base : ndarray, shapes (N, n), (N, 8), (N, 6)
+        Joint velocities [rad/s], pose of the root link and its velocity in its own axes [m/s, rad/s].
     effort : ndarray, shape (N, n)
         Torques commanded for each state [N m].
     wrenches : ndarray, shape (N, 2, 6)
         Force and moment of the ground on the left and the right sole in the period after each state, about the
         sole's origin, in world axes [N, N m]; nan if the foot does not stand or its wrench was not recorded.
-    notes : tuple of str
-        Data that are missing or were ignored.
-    origin : mapping of str to str
-        Software versions and machine of the walk; empty if they were not recorded.
     """
 
-    config: Config
-    model: RobotModel
     scenario: Scenario
-    states: tuple[BodyState, ...]
+    dq: Array
+    x_base: Array
+    v_base: Array
     effort: Array
     wrenches: Array
-    notes: tuple[str, ...] = ()
-    origin: Mapping[str, str] = field(default_factory=dict)
+
+    def state(self, k: int) -> BodyState:
+        """Return the state of index `k`."""
+        return BodyState(float(self.time[k]), self.q[k], dq=self.dq[k], x_base=self.x_base[k], v_base=self.v_base[k])
 
 
-@dataclass(frozen=True)
-class WholeBodyTrace:
-    """The trace of a whole-body walk, one row per control period.
+@dataclass(frozen=True, kw_only=True)
+class WholeBodyTrace(BodyLog):
+    """A whole-body walk with what the controller computed for it, one row per control period.
 
     Attributes
     ----------
-    time : ndarray, shape (N,)
-        Times of the states [s].
-    q, dq, x_base, v_base : ndarray, shapes (N, n), (N, n), (N, 8), (N, 6)
-        The joints [rad, rad/s], the pose of the root link and its velocity in its own axes.
-    effort : ndarray, shape (N, n)
-        The plant's joint torques [N m].
-    wrenches : ndarray, shape (N, 2, 6)
-        As in `BodyLog`.
     target, hand, com, com_velocity, left, right : ndarray, shape (N, 3)
         Target of the hand (nan without one), hand, CoM and its velocity, and the soles' links [m, m/s].
     support, landing : ndarray, shape (N, 2)
@@ -114,20 +103,8 @@ class WholeBodyTrace:
         Reason for an early end of the walk; empty without one.
     again : bool
         Whether the trace is from a recorded walk that was solved again.
-    origin : mapping of str to str
-        Software versions and machine of the walk; empty if unknown.
     """
 
-    scenario: Scenario
-    config: Config
-    model: RobotModel
-    time: Array
-    q: Array
-    dq: Array
-    x_base: Array
-    v_base: Array
-    effort: Array
-    wrenches: Array
     target: Array
     hand: Array
     com: Array
@@ -148,7 +125,6 @@ class WholeBodyTrace:
     reactions: tuple[Reaction, ...] = ()
     note: str = ""
     again: bool = False
-    origin: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def stood(self) -> bool:

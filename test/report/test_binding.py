@@ -42,7 +42,9 @@ def test_the_most_loaded_servo_is_that_closest_to_its_line() -> None:
         pelvis=nothing, wrenches=dict.fromkeys(Foot, nothing[:, :6]), cop=nothing[:, :3], orientation=nothing[:, :4],
         gyro=nothing[:, :3], acceleration=nothing[:, :3], q=q, effort=effort,
     )  # fmt: skip
-    trace = Trace(CONFIG, MODEL, time, q, q, (), time, True, physics=physics)
+    trace = Trace(
+        config=CONFIG, model=MODEL, time=time, q=q, u=q, phases=(), solve_time=time, finished=True, physics=physics
+    )
     load = most_loaded(trace)
     assert load is not None
     assert (load.joint, load.time) == (MODEL.joint_names[joint], pytest.approx(0.03))

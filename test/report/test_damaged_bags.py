@@ -359,6 +359,6 @@ def test_bags_of_earlier_versions_are_read(trace, tmp_path):
     assert code == 0
     assert report["walk"]["steps"] == 2
     body = read_body(RECORDED / "whole_body")
-    assert len(body.states) == 40
+    assert len(body) == 40
     assert body.notes == ()
     assert body.scenario.targets == ((0.0, (0.5, -0.4, 0.9)),)

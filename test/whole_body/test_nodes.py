@@ -108,7 +108,7 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
     )  # those of the second controller
     assert [place for _, place in log.scenario.targets] == [(1.2, -0.8, 0.9), (1.6, -0.8, 0.9)]
     assert [impulse for _, impulse in log.scenario.pushes] == [(0.0, 4.0, 0.0)]
-    assert len(log.states) > moved
+    assert len(log) > moved
     walked, off = retrace(log)
     assert walked.stood
     assert off < 1e-3

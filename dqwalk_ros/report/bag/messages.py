@@ -23,13 +23,15 @@ from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.support.text_table import without_numbers
 
 __all__ = [
-    "NS", "Fault", "JointStates", "Stamps", "Status", "Table", "aligned", "at_stamps", "diagnostics", "diagnostics_of",
-    "faults", "joint_states", "new", "pack", "pack_joint_states", "pack_poses", "pose_numbers", "pose_of", "serialize",
-    "stamped", "stamps_of", "tables", "text", "texts", "unpack",
+    "NS", "Fault", "JointStates", "Messages", "Stamps", "Status", "Table", "aligned", "at_stamps", "diagnostics",
+    "diagnostics_of", "faults", "joint_states", "new", "pack", "pack_joint_states", "pack_known", "pack_poses",
+    "pose_numbers", "pose_of", "serialize", "stamped", "stamps_of", "tables", "text", "texts", "unpack",
 ]  # fmt: skip
 
 Stamps = NDArray[np.int64]
 """Time stamps, shape (N,) [ns]."""
+Messages = tuple[str, Stamps, list[bytes]]
+"""Name of a topic, and stamps and bytes of its messages."""
 NS = 1_000_000_000
 """Nanoseconds per second."""
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
@@ -206,6 +208,12 @@ def pack(message: Any, stamps: Stamps, numbers: Array) -> list[bytes]:
         Every double behind the header, in the order of the message.
     """
     return _Layout(message).pack(stamps, numbers) if len(stamps) else []
+
+
+def pack_known(topic: tuple[str, str], frame: str, stamps: Stamps, numbers: Array) -> Messages:
+    """Return the messages of a topic (name, type) for the rows of `numbers` that are finite; see `pack`."""
+    (name, kind), known = topic, np.isfinite(numbers).all(axis=1)
+    return name, stamps[known], pack(stamped(kind, frame), stamps[known], numbers[known])
 
 
 def tables(column: Column | None) -> Iterator[Table]:

@@ -11,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros import config as configuration
-from dqwalk_ros.config import Config
-from dqwalk_ros.report.bag.messages import NS, JointStates, Stamps, joint_states, texts
+from dqwalk_ros.config import Config, to_yaml
+from dqwalk_ros.report.bag.messages import NS, JointStates, Messages, Stamps, joint_states, text, texts
 from dqwalk_ros.report.bag.storage import Column, Content, Source, content_of
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.errors import BagError, ConfigError, ModelError, listed
 from dqwalk_ros.support.topics import Topic
+from dqwalk_ros.trace import Recorded
 from dqwalk_ros.walks.table import refuse_foreign_code
 
-__all__ = ["Recording", "is_body", "open_recording"]
+__all__ = ["Recording", "is_body", "open_recording", "preamble"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,13 @@ class Recording:
     notes: list[str]
     tuned: dict[int, Config]
     cut: bool
+
+
+def preamble(walked: Recorded, stamp: Stamps) -> list[Messages]:
+    """Return what the bag of a walk begins with, at its first stamp (1,): parameters, origin, robot."""
+    found = {"walk_config": to_yaml(walked.config), "walk_origin": provenance.to_text(walked.origin)}
+    found["robot_description"] = walked.model.urdf
+    return [(name, stamp, [text(value)]) for name, value in found.items() if value]
 
 
 def is_body(source: Source) -> bool:

@@ -17,12 +17,14 @@ from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.bag import messages
 from dqwalk_ros.report.bag.messages import (
     NS,
+    Messages,
     Stamps,
     aligned,
     at_stamps,
     joint_states,
     pack,
     pack_joint_states,
+    pack_known,
     pack_poses,
     pose_numbers,
     pose_of,
@@ -32,12 +34,11 @@ from dqwalk_ros.report.bag.messages import (
     text,
     texts,
 )
-from dqwalk_ros.report.bag.recording import Recording, open_recording
+from dqwalk_ros.report.bag.recording import Recording, open_recording, preamble
 from dqwalk_ros.report.bag.storage import Column, Source, write_columns
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.support import provenance
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError, listed
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
@@ -45,7 +46,6 @@ from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace, known_loads
 
 __all__ = ["read", "read_orientations", "write"]
 
-_Messages = tuple[str, Stamps, list[bytes]]
 _CLOCK = 10**18
 """Stamps above this [ns], a time in 2001, are those of a clock; smaller ones are simulated time."""
 _FARTHEST = 100.0
@@ -81,14 +81,14 @@ def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = Tru
     write_columns(path, topics, _columns(trace, diagnostics), overwrite=overwrite)
 
 
-def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
+def _columns(trace: Trace, diagnostics: bool) -> list[Messages]:
     """Return the messages of each topic, in the order of publication within one period."""
     stamps, names, model = stamps_of(trace.time) + trace.epoch, trace.model.joint_names, trace.model
     applied = np.zeros_like(trace.u)  # the velocity that led to a state is the command before it
     applied[1:] = np.nan_to_num(trace.u[:-1])
     answered = ~np.isnan(trace.u[:, 0])
     effort = None if trace.physics is None else trace.physics.effort
-    found = [("walk_config", stamps[:1], [text(to_yaml(trace.config))])]
+    found = preamble(trace, stamps[:1])
     before = trace.config
     for record in trace.phases:
         config = record.config or trace.config
@@ -96,10 +96,7 @@ def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
             stamp = stamps[[record.start]]
             found.append(("walk_config", stamp, [text(to_yaml(config, int(stamp[0])))]))
         before = config
-    if trace.origin:
-        found.append(("walk_origin", stamps[:1], [text(provenance.to_text(trace.origin))]))
     found += [
-        ("robot_description", stamps[:1], [text(model.urdf)]),
         *([] if trace.physics is None else _physics_messages(model, stamps, trace.physics)),
         *([] if trace.loads is None else _loads(model, stamps, trace.loads)),
         ("joint_states", stamps, pack_joint_states(stamps, names, position=trace.q, velocity=applied, effort=effort)),
@@ -117,7 +114,7 @@ def _columns(trace: Trace, diagnostics: bool) -> list[_Messages]:
     return found
 
 
-def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -> list[_Messages]:
+def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -> list[Messages]:
     """Return the messages of the physics node, for the ticks on which their values are known."""
     unsure = np.zeros((len(stamps), 9))
     turned = known.orientation[:, [1, 2, 3, 0]]
@@ -128,25 +125,21 @@ def _physics_messages(model: RobotModel, stamps: Stamps, known: PhysicsRecord) -
         **{f"{foot.value}_foot_wrench": (model.soles[foot].frame, known.wrenches[foot]) for foot in Foot},
         "center_of_pressure": (WORLD, known.cop),
     }
-    found = []
-    for name, (frame, column) in numbers.items():
-        there = np.isfinite(column).all(axis=1)
-        found.append((name, stamps[there], pack(stamped(TOPICS[name].type, frame), stamps[there], column[there])))
+    found = [pack_known((name, TOPICS[name].type), frame, stamps, column) for name, (frame, column) in numbers.items()]
     there = np.isfinite(known.q).all(axis=1)
     angles = pack_joint_states(stamps[there], model.joint_names, position=known.q[there])
     return [*found, ("true_joint_states", stamps[there], angles)]
 
 
-def _loads(model: RobotModel, stamps: Stamps, loads: Array) -> Iterator[_Messages]:
+def _loads(model: RobotModel, stamps: Stamps, loads: Array) -> Iterator[Messages]:
     """Return the messages of the estimated loads (N, 2) of the feet [N], of the states at which they are known."""
     for foot, load in zip(Foot, loads.T, strict=True):
-        name, there = f"{foot.value}_foot_load", np.isfinite(load)
-        force = np.zeros((np.count_nonzero(there), 6))
-        force[:, 2] = load[there]
-        yield name, stamps[there], pack(stamped(TOPICS[name].type, model.soles[foot].frame), stamps[there], force)
+        name, wrench = f"{foot.value}_foot_load", np.zeros((len(load), 6))
+        wrench[:, 2] = load
+        yield pack_known((name, TOPICS[name].type), model.soles[foot].frame, stamps, wrench)
 
 
-def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[_Messages]:
+def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[Messages]:
     """Return the messages published at the start of a phase."""
     frame = model.soles[record.base].frame
     shown = [label for label in (record.name, record.decision) if label]
@@ -161,7 +154,7 @@ def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[
     return [*found, ("com_target", stamp, pack(stamped(TOPICS["com_target"].type, frame), stamp, target[None]))]
 
 
-def _diagnostics(trace: Trace, stamps: Stamps) -> list[_Messages]:
+def _diagnostics(trace: Trace, stamps: Stamps) -> list[Messages]:
     """Return the messages of the phase monitor, at its rate from the beginning of each phase."""
     period, found = round(NS / trace.config.monitor.rate), []
     for record, ticks in zip(trace.phases, trace.spans, strict=True):
