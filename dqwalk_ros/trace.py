@@ -14,6 +14,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Inertial, Plant, Truth, orientation_of
@@ -137,7 +138,7 @@ class PhysicsRecord:
     @cached_property
     def up(self) -> Array:
         """Unit vectors against gravity in the inertial sensor's frame, shape (N, 3); nan where not measured."""
-        return DQ(self.orientation).conj().Ad(DQ(np.array([0.0, 0.0, 1.0]))).vec3()
+        return DQ(self.orientation).conj().Ad(DQ(Z)).vec3()
 
     @classmethod
     def measured(cls, states: Sequence[State], up: Sequence[Array]) -> PhysicsRecord:

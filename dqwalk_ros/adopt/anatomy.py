@@ -22,6 +22,7 @@ from dqwalk_ros.adopt.skeleton import Entry, Skeleton
 from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_below
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import X, Y, Z
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
@@ -169,8 +170,7 @@ def _any_up(plain: Skeleton, given: tuple[str, str], forward: str) -> Anatomy:
     raise problem
 
 
-_X, _Y, _Z = np.eye(3)
-_UPS = tuple(np.array(rows) for rows in ((_X, _Y, _Z), (_Z, _X, _Y), (_Y, _Z, _X), (_Z, -_X, -_Y), (-_Y, _Z, -_X)))
+_UPS = tuple(np.array(rows) for rows in ((X, Y, Z), (Z, X, Y), (Y, Z, X), (Z, -X, -Y), (-Y, Z, -X)))
 """Rotations (3, 3) that make an axis of the root link vertical: z first (REP-103), then the others."""
 
 
@@ -404,7 +404,7 @@ def _freedom(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], length: floa
     angles: dict[str, float] = {}
     for joints in legs.values():
         axes, knee = skeleton.lines(joints)[1], _leg(skeleton, joints).knee
-        angles |= dict(zip(joints, bent(axes, knee, np.array([0.0, 1.0, 0.0])).tolist(), strict=True))
+        angles |= dict(zip(joints, bent(axes, knee, Y).tolist(), strict=True))
     posed = skeleton.posed(angles)
     left, right = (posed.lines(joints) for joints in legs.values())
     return freedom((left, right), length)

@@ -10,6 +10,7 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import gravity_torques
 from dqwalk_ros.robot.model import RobotModel, find_urdf
@@ -27,7 +28,6 @@ _BELOW = 0.012
 """Largest distance of a foot below its sole [m]."""
 _LEVEL = math.radians(2.0)
 """Largest angle between two parallel soles [rad]."""
-_UP = np.array([0.0, 0.0, 1.0])
 _UPRIGHT = math.radians(20.0)
 """Largest angle of the pelvis' z axis to the vertical in the posture [rad]."""
 _REACHED = 0.9
@@ -85,7 +85,7 @@ def _soles(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     if abs(turn) > math.radians(15.0):
         text = f"the forward directions of the soles differ by {math.degrees(abs(turn)):.0f} degrees"
         yield Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy")
-    lean = math.acos(min(1.0, max(-1.0, float(kin.direction(model.pelvis, _UP)[2]))))
+    lean = math.acos(min(1.0, max(-1.0, float(kin.direction(model.pelvis, Z)[2]))))
     if lean > _UPRIGHT:
         yield Finding(
             f"z of the pelvis '{model.pelvis}' is {math.degrees(lean):.0f} degrees off the vertical in the posture: "

@@ -11,6 +11,7 @@ from dqwalk_ros.adopt.anatomy import Anatomy
 from dqwalk_ros.adopt.legs import Leg, bent, leg_of
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Y
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
@@ -74,7 +75,7 @@ def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
         If no posture has both soles level side by side and the CoM over their middle; the message names the joints at
         their limits.
     """
-    start, lateral = np.zeros(model.n), np.array([0.0, 1.0, 0.0])
+    start, lateral = np.zeros(model.n), Y
     for joints, axes, leg in _legs(model, anatomy):
         start[joints] = bent(axes, leg.knee, lateral)
     found = [_solve(model, anatomy, bend, way * start) for way in (1.0, -1.0)]

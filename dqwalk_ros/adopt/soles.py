@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from dqwalk_ros.adopt.skeleton import Skeleton
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import X, Z
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
@@ -126,7 +127,7 @@ def _sole(skeleton: Skeleton, ankle: str, leg: float, which: str) -> FoundSole:
         )
     normal, level, even = plane_below(p)
     near = p[(p - level) @ normal < min(_FLAT, 0.02 * leg)]
-    x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    x = X - normal[0] * normal
     x /= np.linalg.norm(x)
     axes = np.array([x, np.cross(normal, x), normal])  # rows: forward, left and up axis of the sole
     flat = (near - level) @ axes.T
@@ -165,19 +166,18 @@ def plane_below(p: Array) -> tuple[Array, Array, float]:
     share : float
         Its part of all sides whose normal is within 45 degrees of the vertical.
     """
-    level = np.array([0.0, 0.0, 1.0])
     lowest = p[np.argmin(p[:, 2])]
     try:
         hull = ConvexHull(p)
     except QhullError:
-        return level, lowest, 1.0
+        return Z, lowest, 1.0
     corners = p[hull.simplices]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
     below = normals[:, 2] < -0.7
     if not below.any():
-        return level, lowest, 1.0
-    best, normal = 0.0, level
+        return Z, lowest, 1.0
+    best, normal = 0.0, Z
     for k in np.flatnonzero(below):
         alike = below & (normals @ normals[k] > math.cos(math.radians(3.0)))
         alike &= np.abs(corners.mean(axis=1) @ normals[k] + offsets[k]) < _FLAT
@@ -186,7 +186,7 @@ def plane_below(p: Array) -> tuple[Array, Array, float]:
             best, normal = total, -(area[alike, None] * normals[alike]).sum(axis=0) / total
     normal = normal / np.linalg.norm(normal)
     if normal[2] > math.cos(math.radians(1.5)):
-        normal = level
+        normal = Z
     return normal, p[np.argmin(p @ normal)], best / float(area[below].sum())
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.features import JointAngles
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
@@ -32,7 +33,6 @@ from dqwalk_ros.walks.following import minimum_jerk
 __all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "limbs", "path_of", "slots"]
 
 
-_Z = np.array([0.0, 0.0, 1.0])
 NAME = f"{__name__}:Exercise"
 """Value of ``gait.walk`` for an exercise."""
 
@@ -173,7 +173,7 @@ def _loaded(model: RobotModel, q: Array, joint: int, sweep: float) -> float:
     for angle in angles:
         there[joint] = angle
         kin = Kinematics(model, there, Foot.LEFT)
-        height.append(kin.direction(model.root, _Z) @ (kin.com - kin.point(model.root)))
+        height.append(kin.direction(model.root, Z) @ (kin.com - kin.point(model.root)))
     slope = np.diff(height) / np.diff(angles)  # gravity torque divided by the weight
     return float(0.3 * np.abs(slope).max() + 0.3 * np.ptp(slope) + max(0.0, min(slope.max(), -slope.min())))
 
@@ -196,8 +196,8 @@ class _Clearance:
             if (self._distances(there) < self._least).any():
                 return False
             kin = Kinematics(self._model, there, Foot.LEFT)
-            up = kin.direction(self._model.root, _Z)
-            if any(kin.direction(sole.frame, _Z) @ up < math.cos(_LEAN) for sole in self._model.soles.values()):
+            up = kin.direction(self._model.root, Z)
+            if any(kin.direction(sole.frame, Z) @ up < math.cos(_LEAN) for sole in self._model.soles.values()):
                 return False
         return True
 

@@ -26,6 +26,7 @@ from scipy.special import log_ndtr
 from dqwalk_ros.identification.exercise import limbs
 from dqwalk_ros.identification.replay import require_exercise
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.plants.base import upward
 from dqwalk_ros.plants.mujoco import held_torques
 from dqwalk_ros.plants.servo_goals import ServoGoals
@@ -445,7 +446,7 @@ def _mounting(trace: Trace, orientations: Array | None) -> Mounting | None:
     if orientations is None or not len(orientations):
         return None
     up = np.array([upward(*row.tolist()) for row in orientations])  # = R_mounted^T R_link^T z
-    link = DQ(trace.model.frames[trace.model.imu_link].pose).rotation_matrix().T @ [0.0, 0.0, 1.0]
+    link = DQ(trace.model.frames[trace.model.imu_link].pose).rotation_matrix().T @ Z
     mean = up.mean(axis=0) / np.linalg.norm(up.mean(axis=0))
     axis = np.cross(mean, link)
     sine = float(np.linalg.norm(axis))

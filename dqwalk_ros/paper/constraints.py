@@ -30,7 +30,7 @@ from dqwalk_ros.paper.features import (
     Quantity,
     Rotation,
 )
-from dqwalk_ros.paper.geometry import ConvexPolygon, Cylinder, Plane, point_to_line_squared, point_to_wall
+from dqwalk_ros.paper.geometry import ConvexPolygon, Cylinder, Plane, Z, point_to_line_squared, point_to_wall
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
@@ -55,7 +55,6 @@ __all__ = [
 ]
 
 
-_UP = np.array([0.0, 0.0, 1.0])
 _MARGIN = 1.25
 """Height of a drawn region, relative to the height of the constrained point."""
 _FULL_ANGLE = math.pi / 6.0
@@ -374,7 +373,7 @@ class AxisLevel(Affine, Constraint):
     @property
     def watches(self) -> tuple[Feature, ...]:
         """The z axis of the frame."""
-        return (Direction(self.frame, _UP),)
+        return (Direction(self.frame, Z),)
 
     @property
     def A(self) -> Array:

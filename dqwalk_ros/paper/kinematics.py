@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.paper.dual_quaternions import DQ, product
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
@@ -49,7 +50,6 @@ __all__ = [
 
 Mask = NDArray[np.bool_]
 _ORIGIN = np.zeros(3)
-_Z = np.array([0.0, 0.0, 1.0])
 
 
 class Bodies(NamedTuple):
@@ -320,7 +320,7 @@ class Kinematics:
         self.base = base
         self.tree = tree = support_tree(model, base)
         self.q: Array = np.array(q, dtype=np.float64)
-        self.up: Array = _Z if up is None else np.array(up, dtype=np.float64)
+        self.up: Array = Z if up is None else np.array(up, dtype=np.float64)
         n = self.q.shape[0]
         self.poses, self.lines = np.empty((tree.tree.shape[0], 8)), np.empty((n, 6))
         self.com, self.com_jacobian = np.empty(3), np.empty((3, n))

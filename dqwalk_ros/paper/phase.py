@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.assembly import Assembly, Evaluation
 from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.support.arrays import Array
@@ -29,9 +28,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
 
 __all__ = ["Change", "EndRule", "Next", "Phase", "PhaseKind", "Rule", "Timed"]
-
-
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 class PhaseKind(enum.Enum):
@@ -171,7 +167,7 @@ class Phase:
     def evaluate(
         self,
         q: Array,
-        up: Array = _UP,
+        up: Array = Z,
         elapsed: float = math.inf,
         dt: float | None = None,
         velocity: Array | None = None,
@@ -193,7 +189,7 @@ class Phase:
         """
         return self.assembly(q, up, elapsed, dt, velocity)
 
-    def distances(self, q: Array, up: Array = _UP) -> dict[str, float]:
+    def distances(self, q: Array, up: Array = Z) -> dict[str, float]:
         """Return each signed distance minus its bound, by name; see `Evaluation.distances`."""
         return self.evaluate(q, up).distances()
 

@@ -24,7 +24,7 @@ from dqwalk_ros.paper.constraints import (
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMass, Point
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import Cylinder, Line, Plane, wall_side
+from dqwalk_ros.paper.geometry import Cylinder, Line, Plane, X, Y, Z, wall_side
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, EndRule, Next, Phase, PhaseKind, Rule
 from dqwalk_ros.paper.state import State
@@ -39,9 +39,6 @@ if TYPE_CHECKING:
 __all__ = ["PaperWalk", "Walk", "com_target", "joint_limits", "pelvis_height"]
 
 
-_UP = np.array([0.0, 0.0, 1.0])
-_X = np.array([1.0, 0.0, 0.0])
-_Y = np.array([0.0, 1.0, 0.0])
 _LOOKS = {
     "sliding": Look("sliding (U7)", (0, 140, 150)),
     "tip_plane": Look("tip plane (U9)", (31, 95, 180)),
@@ -319,14 +316,14 @@ class PaperWalk(Walk):
             )  # fmt: skip
 
         ground: list[Constraint] = [
-            PointOverPlane(name="ground", eta=dsp.eta_ground, point=tip, plane=Plane(_UP, 0.0)),  # (U8)
+            PointOverPlane(name="ground", eta=dsp.eta_ground, point=tip, plane=Plane(Z, 0.0)),  # (U8)
         ]
         if dsp.flat_feet:
             ground += [
-                AxisLevel(name="flat_pitch", eta=dsp.eta_ground, frame=end, direction=_X),
-                AxisLevel(name="flat_roll", eta=dsp.eta_ground, frame=end, direction=_Y),
+                AxisLevel(name="flat_pitch", eta=dsp.eta_ground, frame=end, direction=X),
+                AxisLevel(name="flat_roll", eta=dsp.eta_ground, frame=end, direction=Y),
             ]
-        sliding = Cylinder(Line.through(tip.value(kin), _UP), dsp.sliding_radius)
+        sliding = Cylinder(Line.through(tip.value(kin), Z), dsp.sliding_radius)
         inequalities = (
             PointInCylinder(
                 name="sliding", eta=dsp.eta_sliding, point=tip, cylinder=sliding, look=_LOOKS["sliding"]
@@ -343,7 +340,7 @@ class PaperWalk(Walk):
         """Return the single support on the foot `support` that swings the other one to its target, section 4.2."""
         ssp, model = self.config.ssp, self.model
         kin = Kinematics(model, q_start, support)
-        cylinder = Cylinder(Line.through(model.soles[support].center, _UP), ssp.com_radius)
+        cylinder = Cylinder(Line.through(model.soles[support].center, Z), ssp.com_radius)
         look = _LOOKS["com_cylinder"]
         inequalities = (
             PointInCylinder(
@@ -358,7 +355,7 @@ class PaperWalk(Walk):
 
 def pelvis_height(config: Config, model: RobotModel) -> Constraint:
     """Return the constraint (U11): the pelvis stays above ``pelvis.height``."""
-    plane = Plane(_UP, config.pelvis.height)
+    plane = Plane(Z, config.pelvis.height)
     look = _LOOKS["pelvis"]
     return PointOverPlane(name="pelvis", eta=config.pelvis.eta, point=Point(model.pelvis), plane=plane, look=look)
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from dqwalk_ros.config import Config, PhysicsConfig
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import X, Y
 from dqwalk_ros.paper.kinematics import Kinematics, quaternion_product
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
@@ -30,7 +31,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = ["HELD", "Box", "EnginePlant", "floor_of", "gravity_of", "level_of", "pose_of", "standing_root", "steps_of"]
+__all__ = ["HELD", "Box", "EnginePlant", "floor_of", "gravity_of", "pose_of", "slope_of", "standing_root", "steps_of"]
 
 HELD = 1.5
 """Height at which the root link is held in the air [m]."""
@@ -68,7 +69,7 @@ class EnginePlant(Plant):
         mounting = DQ(model.frames[model.imu_link].pose).conj() * DQ(model.frames[model.imu].pose)
         self._mounting = mounting.vec4()
         self._to_sensor = np.ascontiguousarray(mounting.rotation_matrix().T)
-        self._level = level_of(config)
+        self._level = slope_of(config)
         self._sensors = Sensors(config.sensors)
         self._law = law or ServoGoals.of(config, model, simulated=servos)
         self._make(servos)
@@ -252,10 +253,10 @@ def steps_of(dt: float, largest: float) -> int:
     return max(1, math.ceil(dt / largest - 1e-6))
 
 
-def level_of(config: Config) -> Array:
-    """Return the orientation (4,) of the floor, which is the simulation's world frame, relative to the level."""
+def slope_of(config: Config) -> Array:
+    """Return the orientation (4,) of the sloping floor, the simulation's world frame, relative to a level one."""
     c = config.physics
-    return (DQ.rotation_about(-c.slope, [0.0, 1.0, 0.0]) * DQ.rotation_about(c.slope_side, [1.0, 0.0, 0.0])).vec4()
+    return (DQ.rotation_about(-c.slope, Y) * DQ.rotation_about(c.slope_side, X)).vec4()
 
 
 def gravity_of(level: Array) -> Array:

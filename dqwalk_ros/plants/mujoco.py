@@ -14,7 +14,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.plants.engine import HELD, Box, EnginePlant, floor_of, gravity_of, level_of, pose_of, steps_of
+from dqwalk_ros.plants.engine import HELD, Box, EnginePlant, floor_of, gravity_of, pose_of, slope_of, steps_of
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.support.arrays import Array
@@ -236,7 +236,7 @@ def build(
         spec.option.timestep = c.timestep
         if c.cone == "elliptic":
             spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        spec.option.gravity = gravity_of(level_of(config))
+        spec.option.gravity = gravity_of(slope_of(config))
         for body in spec.bodies:
             body.mass *= c.mass_scale
             body.inertia, body.fullinertia = body.inertia * c.mass_scale, body.fullinertia * c.mass_scale

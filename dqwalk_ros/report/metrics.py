@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMassOnGround, Observer, Pose
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import ConvexPolygon
+from dqwalk_ros.paper.geometry import ConvexPolygon, X
 from dqwalk_ros.paper.kinematics import Kinematics, compose, support_tree
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.plants.base import tilt
@@ -560,6 +560,6 @@ class Ground:
         ticks = [span.start for span in series.spans if span.double] + [len(series.time) - 1]
         soles, yaws = {foot: x[ticks] for foot, x in self.soles.items()}, []
         for x in soles.values():
-            ahead = DQ(x).P().Ad(DQ(np.array([1.0, 0.0, 0.0]))).vec3()
+            ahead = DQ(x).P().Ad(DQ(X)).vec3()
             yaws.append(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
         return np.column_stack([middle(soles, series.trace.model)[:, :2], np.mean(yaws, axis=0)])

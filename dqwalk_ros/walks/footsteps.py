@@ -20,7 +20,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.walks.footprint import Footprint, flat
 
-__all__ = ["Carried", "Footsteps", "level_of", "parsed"]
+__all__ = ["Carried", "Footsteps", "parsed", "stair_height"]
 
 
 _LEVER = 0.1
@@ -37,7 +37,7 @@ _STAIR = 1.5
 """Least height of a stair, relative to ``gait.footstep_tolerance``, up to which soles count as level."""
 
 
-def level_of(height: float, config: Config) -> float:
+def stair_height(height: float, config: Config) -> float:
     """Return the height of a sole over the other one [m], 0 if both count as level: rubble is no stair."""
     return height if abs(height) > config.gait.footstep_tolerance else 0.0
 
@@ -175,7 +175,7 @@ class Footsteps:
         gait, s = self.config.gait, self.config.standing
         x = DQ(wanted)
         height, up = float(x.translation()[2]), float(x.rotation_matrix()[2, 2])
-        if level_of(height, self.config) and self._carried.height is None:
+        if stair_height(height, self.config) and self._carried.height is None:
             raise StateError(
                 f"{1e3 * height:.0f} mm above the ground, where both soles stand; a dynamic walk has stairs"
             )
@@ -206,7 +206,7 @@ class Footsteps:
                 f"{1e3 * gap:.0f} mm beside the other sole; standing.sole_gap is {1e3 * s.sole_gap:.0f} mm"
             )
         reached, _, stuck, missed = self._nearest(support, wanted)
-        off_by = DQ(flat(wanted, level_of(height, self.config))).conj() * DQ(reached)
+        off_by = DQ(flat(wanted, stair_height(height, self.config))).conj() * DQ(reached)
         far, angle = max(float(np.linalg.norm(off_by.translation())), missed), abs(float(off_by.rotation_vector()[2]))
         if max(far, s.lever * angle) > gait.footstep_tolerance:
             where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached).translation()[:2])
@@ -241,7 +241,7 @@ class Footsteps:
         p_d, r_d = DQ(wanted).translation(), wanted[:4].copy()
         sole = Observer([Point(frame), Rotation(frame)], Kinematics(model, self._q_ref, support).tree)
         stands, lands, carried = model.soles[support].center, model.soles[support.other].center, self._carried
-        level = level_of(float(p_d[2]), self.config)
+        level = stair_height(float(p_d[2]), self.config)
         p_d[2] = level
         tall = None if carried.height is None else carried.height + min(level, 0.0)
         q_ref = np.tile(np.clip(self._q_ref, model.q_min, model.q_max), 2)

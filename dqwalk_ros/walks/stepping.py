@@ -13,7 +13,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import FrameHeld, PointsOverPlane
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import Plane
+from dqwalk_ros.paper.geometry import Plane, Y
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
 from dqwalk_ros.paper.state import State
@@ -24,7 +24,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.walks.arms import Arms
 from dqwalk_ros.walks.footprint import flat
-from dqwalk_ros.walks.footsteps import Carried, Footsteps, level_of, parsed
+from dqwalk_ros.walks.footsteps import Carried, Footsteps, parsed, stair_height
 
 __all__ = ["JOINT_RETURN", "SteppingWalk"]
 
@@ -216,13 +216,13 @@ class SteppingWalk(Walk):
 
         Without stairs a sole that is higher has been kept up by a stone or a push, and is to come down.
         """
-        return level_of(float(kin.point(kin.swing)[2]), self.config) if self._on_stairs else 0.0
+        return stair_height(float(kin.point(kin.swing)[2]), self.config) if self._on_stairs else 0.0
 
     def _gap(self, support: Foot) -> PointsOverPlane:
         """Return the constraint that keeps the swing sole beside the support sole's inner edge, at ``sole_gap``."""
         s, sole, swing = self.config.standing, self.model.soles[support], self.model.soles[support.other]
         side = 1.0 if support is Foot.RIGHT else -1.0
-        inner = Plane(side * np.array([0.0, 1.0, 0.0]), side * float(sole.center[1]) + 0.5 * sole.width)
+        inner = Plane(side * Y, side * float(sole.center[1]) + 0.5 * sole.width)
         return PointsOverPlane(
             name="sole_gap", eta=s.eta_edges, bound=s.sole_gap, return_speed=s.recovery, frame=swing.frame,
             points=swing.corners, plane=inner,

@@ -18,7 +18,7 @@ from dqwalk_ros.estimation.load import share_of
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMass, CenterOfMassOnGround, Direction, JointAngles
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import ConvexPolygon, moved_inside
+from dqwalk_ros.paper.geometry import ConvexPolygon, Z, moved_inside
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
@@ -38,13 +38,12 @@ from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, sin
 from dqwalk_ros.walks.dynamic.swing import Climb, Swing
 from dqwalk_ros.walks.following import Follow, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
-from dqwalk_ros.walks.footsteps import Carried, level_of
+from dqwalk_ros.walks.footsteps import Carried, stair_height
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 
 __all__ = ["DynamicWalk"]
 
 
-_UP = np.array([0.0, 0.0, 1.0])
 _AHEAD = 6
 """Number of planned footprints."""
 _LATE = 0.05
@@ -124,7 +123,7 @@ class DynamicWalk(SteppingWalk):
         self._time = -math.inf
         self._confirmed = max(round(_CONFIRMED / config.dt), 1)  # number of states
         self._now: Pendulum
-        self._force = GRAVITY * _UP
+        self._force = GRAVITY * Z
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
         kin = Kinematics(model, self.posture, self._first)
         self._height, self._trunk = kin.com[2:], _pitching(kin)  # height of the CoM in the posture, (1,) [m]
@@ -265,7 +264,7 @@ class DynamicWalk(SteppingWalk):
         kin = Kinematics(self.model, q_start, support)
         x = DQ(swing_target)
         # here, so that a monitor, which has the phases only, knows it, too
-        self._on_stairs |= bool(level_of(float(x.translation()[2]), self.config))
+        self._on_stairs |= bool(stair_height(float(x.translation()[2]), self.config))
         task = FollowPose(
             name="swing",
             weight=s.swing_weight,
@@ -290,14 +289,14 @@ class DynamicWalk(SteppingWalk):
                 name="height",
                 weight=d.height_weight,
                 feature=CenterOfMass(),
-                selects=_UP[None],
+                selects=Z[None],
                 target=Target(self._height, np.zeros(1)),
                 eta=d.height_rate,
             ),
             Follow(
                 name="upright",
                 weight=d.upright_weight,
-                feature=Direction(self.model.pelvis, _UP),
+                feature=Direction(self.model.pelvis, Z),
                 selects=np.eye(2, 3),
                 target=Target(np.zeros(2), np.zeros(2)),
                 eta=d.upright_rate,

@@ -17,7 +17,7 @@ from dqwalk_ros.paper.constraints import ComInsideEdges, Constraint, PointsOverP
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Point
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import ConvexPolygon, Plane
+from dqwalk_ros.paper.geometry import ConvexPolygon, Plane, Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.state import State
@@ -31,9 +31,6 @@ from dqwalk_ros.walks.standing.balance import Balance
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 
 __all__ = ["StandingWalk"]
-
-
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 class StandingWalk(SteppingWalk):
@@ -146,7 +143,7 @@ class StandingWalk(SteppingWalk):
             self._edges(ConvexPolygon.hull(sole.corners)),
             PointsOverPlane(
                 name="clearance", eta=s.eta_edges, return_speed=s.recovery, frame=swing.frame, points=swing.corners,
-                plane=Plane(_UP, 0.0),
+                plane=Plane(Z, 0.0),
             ),
             self._gap(support),
             pelvis_height(self.config, model),
