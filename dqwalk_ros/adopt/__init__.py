@@ -148,7 +148,7 @@ def adopt(
     path, folder = pathlib.Path(path), pathlib.Path(folder)
     _check_places(path, folder, overwrite=overwrite)
     progress(0.0, "reading the robot")
-    urdf, drives = load_mjcf(path) if is_mjcf(path) else (Urdf.load(path, package_paths, xacro), {})
+    urdf, drives = load_mjcf(path, package_paths) if is_mjcf(path) else (Urdf.load(path, package_paths, xacro), {})
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
     sides = {"left": left, "right": right, "forward": forward}
     try:

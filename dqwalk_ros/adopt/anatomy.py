@@ -464,7 +464,7 @@ def _check_led(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
 
 def _check_shapes(skeleton: Skeleton, ankles: tuple[str, str]) -> None:
     """Raise ModelError if a mesh of a foot, or of what it carries, cannot be read: the sole would be another one."""
-    which, missing = skeleton.complete([link for ankle in ankles for link in foot_links(skeleton, ankle)])
+    which, missing = skeleton.complete([foot_links(skeleton, ankle) for ankle in ankles])
     if not which and missing:
         mesh, why = next(iter(missing.items()))
         more = f", and {len(missing) - 1} more" if len(missing) > 1 else ""

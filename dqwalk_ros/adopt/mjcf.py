@@ -8,8 +8,10 @@ word for, the drives of the joints, is returned beside it.
 from __future__ import annotations
 
 import math
+import os
 import pathlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -28,6 +30,22 @@ _CARRIED = 0.2
 """Least mass that a joint of a limb carries, as a fraction of that of another joint of its loop; rods carry less."""
 _TETRAHEDRON = [0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001]
 """Corners of a small mesh in the place of a missing one [m]."""
+_UNKNOWN = re.compile(r"unrecognized attribute: '(\w+)' Element '(\w+)'")
+"""What MuJoCo says of an attribute that it does not know; its name, and that of its element."""
+_SETTINGS = {
+    "compiler",
+    "flag",
+    "global",
+    "headlight",
+    "map",
+    "option",
+    "quality",
+    "rgba",
+    "scale",
+    "size",
+    "statistic",
+}
+"""Elements of MJCF that are not about a robot."""
 _HOLLOW = re.compile(r"mesh volume is too small: (.+?) \.")
 """What MuJoCo says of a mesh that encloses no volume; its name."""
 
@@ -60,8 +78,11 @@ def is_mjcf(path: pathlib.Path) -> bool:
         return False  # what reads it says so
 
 
-def load_mjcf(path: pathlib.Path) -> tuple[Urdf, dict[str, MjcfDrive]]:
+def load_mjcf(path: pathlib.Path, places: Sequence[str | os.PathLike[str]] = ()) -> tuple[Urdf, dict[str, MjcfDrive]]:
     """Return the description of an MJCF file, and the drives of its joints by name.
+
+    Meshes that are not where the file says are searched around it and in the folders `places`. Pictures and height
+    fields, which a robot does not need, are not read.
 
     Raises
     ------
@@ -73,11 +94,8 @@ def load_mjcf(path: pathlib.Path) -> tuple[Urdf, dict[str, MjcfDrive]]:
         import mujoco
     except ImportError as error:
         raise ModelError(f"'{path}' is a file of MuJoCo: pip install mujoco, which reads it") from error
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, RuntimeError, OSError) as error:
-        raise ModelError(f"MuJoCo refuses '{path}': {' '.join(str(error).split())[:300]}") from error
-    lost = _replace_missing(path, spec)
+    spec, repairs = _spec(path)
+    lost = _replace_missing(path, spec, places)
     for body in spec.bodies:
         for geom in () if body.explicitinertial else body.geoms:
             file = lost.get(geom.meshname)
@@ -101,6 +119,7 @@ def load_mjcf(path: pathlib.Path) -> tuple[Urdf, dict[str, MjcfDrive]]:
                 if (mesh.name or pathlib.Path(mesh.file).stem) == found[1]:
                     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     conversion = _Conversion(path, mujoco, spec, mj, lost)
+    conversion.repairs += repairs
     conversion.repairs += [f"the mesh '{name}' encloses no volume: taken as a shell" for name in hollow]
     urdf = Urdf(conversion.text(), str(path))
     # the lines are those of the conversion
@@ -108,26 +127,71 @@ def load_mjcf(path: pathlib.Path) -> tuple[Urdf, dict[str, MjcfDrive]]:
     return urdf, conversion.drives
 
 
-def _mesh_file(path: pathlib.Path, spec: Any, mesh: Any) -> pathlib.Path:
+def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
+    """Return a file as MuJoCo reads it, without settings of other versions of MuJoCo; and what was left out."""
+    import mujoco
+
+    root, repairs = None, list[str]()
+    while True:
+        try:
+            if root is None:
+                return mujoco.MjSpec.from_file(str(path)), repairs
+            return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode")), repairs
+        except (ValueError, RuntimeError, OSError) as error:
+            text = " ".join(str(error).split())
+            found = _UNKNOWN.search(text)
+            root = root or (_with_includes(path, path) if found else None)
+            named = [] if root is None or not found else [e for e in root.iter(found[2]) if found[1] in e.attrib]
+            if found is None or found[2] not in _SETTINGS or not named:
+                raise ModelError(f"MuJoCo refuses '{path}': {text[:300]}") from error
+            for element in named:
+                del element.attrib[found[1]]
+            repairs.append(f"<{found[2]}> has the attribute '{found[1]}' of another version of MuJoCo: left out")
+
+
+def _with_includes(file: pathlib.Path, main: pathlib.Path) -> ElementTree.Element:
+    """Return the root of an MJCF file with the contents of the files that it includes."""
+    root = ElementTree.parse(file).getroot()
+    for parent in [*root.iter()]:
+        for at, child in reversed([*enumerate(parent)]):
+            if child.tag == "include":
+                parent[at : at + 1] = [*_with_includes(main.parent / child.get("file", ""), main)]
+    return root
+
+
+def _mesh_file(path: pathlib.Path, spec: Any, mesh: Any, places: Sequence[str | os.PathLike[str]] = ()) -> pathlib.Path:
     """Return the file of a mesh: the named one, or if it does not exist that of the same name near the MJCF file."""
-    named = pathlib.Path(spec.modelfiledir or path.parent) / str(spec.meshdir or "") / str(mesh.file)
-    return named if named.is_file() else find_package_file(str(mesh.file), path) or named
+    inside = pathlib.Path(str(spec.meshdir or "")) / str(mesh.file)
+    named = pathlib.Path(spec.modelfiledir or path.parent) / inside
+    if named.is_file():
+        return named
+    found = (find_package_file(str(uri), path, places) for uri in (inside, mesh.file))
+    return next((file for file in found if file), named)
 
 
-def _replace_missing(path: pathlib.Path, spec: Any) -> dict[str, pathlib.Path]:
+def _replace_missing(
+    path: pathlib.Path, spec: Any, places: Sequence[str | os.PathLike[str]]
+) -> dict[str, pathlib.Path]:
     """Replace meshes that cannot be read by small ones, without which MuJoCo refuses a file; return their files.
 
-    The converted description names the true files, and what reads its shapes says what is missing.
+    The converted description names the true files, and what reads its shapes says what is missing. Pictures and height
+    fields are replaced as well.
     """
     lost = {}
     for mesh in spec.meshes:
-        file = _mesh_file(path, spec, mesh)
+        file = _mesh_file(path, spec, mesh, places)
         if mesh.file and file.is_file() and not is_pointer(file):
             mesh.file = str(file.resolve())
         elif mesh.file:
             lost[mesh.name or file.stem] = file
             mesh.name, mesh.file = mesh.name or file.stem, ""
             mesh.uservert, mesh.userface = _TETRAHEDRON, [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
+    for picture in (*spec.textures, *spec.skins):
+        spec.delete(picture)
+    for field in spec.hfields:
+        field.file, field.nrow, field.ncol, field.userdata = "", 2, 2, [0.0] * 4
     return lost
 
 
@@ -235,7 +299,7 @@ class _Conversion:
         joints = [*range(mj.body_jntadr[body], mj.body_jntadr[body] + mj.body_jntnum[body])]
         if body == root:
             self._offset[body] = np.zeros(3)
-            held = [mj.joint(j).name for j in joints if not _is(mj.jnt_type[j], self._mujoco.mjtJoint.mjJNT_FREE)]
+            held = [self._joint_name(j) for j in joints if not _is(mj.jnt_type[j], self._mujoco.mjtJoint.mjJNT_FREE)]
             if held:
                 self.repairs.append(f"the joints {', '.join(held)} between world and '{name}' are left out: it floats")
             self._add_link(name, body)
@@ -355,13 +419,11 @@ class _Conversion:
     def _mesh(self, mesh: int) -> tuple[tuple[str, dict[str, str]], DQ] | None:
         """Return a mesh as element and attributes, and the pose in the file of the frame that MuJoCo gave it."""
         given = next((m for m in self._spec.meshes if m.id == mesh), None)
-        if given is not None and given.name in self._lost:
-            return ("mesh", {"filename": str(self._lost[given.name])}), DQ(1.0)
-        if given is None or not given.file:
+        if given is None or not (given.file or given.name in self._lost):
             return None
-        file = _mesh_file(self._path, self._spec, given).resolve()
+        file = str(self._lost[given.name]) if given.name in self._lost else pathlib.Path(given.file).as_uri()
         at = DQ.from_pose(self._mj.mesh_pos[mesh], self._mj.mesh_quat[mesh])
-        return ("mesh", {"filename": file.as_uri(), "scale": _words(given.scale)}), at
+        return ("mesh", {"filename": file, "scale": _words(given.scale)}), at
 
     def _add_led(self) -> None:
         """Add the joints that follow others as mimic joints."""

@@ -144,9 +144,9 @@ class Skeleton:
         missing = self._shapes.missing if links is None else self._shapes.unread(links)
         return f" (mesh '{next(iter(missing))}' {next(iter(missing.values()))})" if missing else ""
 
-    def complete(self, links: Sequence[str]) -> tuple[str, dict[str, str]]:
-        """Return which shapes of some links can all be read; see `Shapes.complete`."""
-        return self._shapes.complete(links)
+    def complete(self, feet: Sequence[Sequence[str]]) -> tuple[str, dict[str, str]]:
+        """Return which shapes of the links of some feet can all be read; see `Shapes.complete`."""
+        return self._shapes.complete(feet)
 
 
 def _coupled(urdf: Urdf) -> set[str]:

@@ -79,7 +79,7 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
     ModelError
         If a foot has no shape, or is too small for a flat sole.
     """
-    which, _ = skeleton.complete([link for joints in legs.values() for link in foot_links(skeleton, joints[-1])])
+    which, _ = skeleton.complete([foot_links(skeleton, joints[-1]) for joints in legs.values()])
     found = {foot: _sole(skeleton, joints[-1], leg, which) for foot, joints in legs.items()}
     for foot, sole in found.items():
         if min(sole.length, sole.width) < _LEAST_SOLE * leg:

@@ -105,17 +105,18 @@ class Shapes:
                 return found, kind
         return {}, ""
 
-    def complete(self, names: Sequence[str]) -> tuple[str, dict[str, str]]:
-        """Return which surfaces of some links can all be read, or else the reason for each mesh that cannot.
+    def complete(self, feet: Sequence[Sequence[str]]) -> tuple[str, dict[str, str]]:
+        """Return which surfaces of the links of feet can all be read, or else the reason for each mesh that cannot.
 
-        These are the ``collisions``, or else the ``visuals``; links that have none of these must have all of the other.
+        These are the ``collisions``, or else the ``visuals``, of which each foot has some; links that have none of
+        these must have all of the other.
         """
         lost: dict[str, str] = {}
         for which, other in (_KINDS, _KINDS[::-1]):
-            shapes = [(name, getattr(self._links[name], which)) for name in names]
-            if not any(found for _, found in shapes):
+            shapes = [[(name, getattr(self._links[name], which)) for name in links] for links in feet]
+            if not all(any(found for _, found in foot) for foot in shapes):
                 continue
-            missing = [self._unread(name, found or getattr(self._links[name], other)) for name, found in shapes]
+            missing = [self._unread(k, found or getattr(self._links[k], other)) for foot in shapes for k, found in foot]
             if not any(missing):
                 return which, {}
             lost = lost or {mesh: why for part in missing for mesh, why in part.items()}

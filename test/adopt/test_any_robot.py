@@ -267,8 +267,16 @@ def test_a_missing_mesh_of_a_foot_is_an_error_that_names_it(tmp_path: Path) -> N
         anatomy_of(read(tmp_path, (box, mesh), small))
 
 
-def test_soles_are_those_of_the_visual_shapes_of_both_feet_if_a_collision_mesh_is_missing(tmp_path: Path) -> None:
-    lost = r'(<link name="l_foot">.*?<collision>.*?<geometry>)<box [^>]*/>', r'\1<mesh filename="lost.stl"/>'
+@pytest.mark.parametrize(
+    "lost",
+    [
+        (r'(<link name="l_foot">.*?<collision>.*?<geometry>)<box [^>]*/>', r'\1<mesh filename="lost.stl"/>'),
+        (r'(<link name="l_foot">.*?)<collision>.*?</collision>', r"\1"),
+    ],
+)
+def test_soles_are_those_of_the_visual_shapes_of_both_feet_if_a_foot_lacks_a_collision_shape(
+    lost: tuple[str, str], tmp_path: Path
+) -> None:
     wide = r'(<link name="r_foot">.*?<collision>.*?<box size=)"[^"]*"', r'\1"0.16 0.1 0.0132"'
     soles = anatomy_of(read(tmp_path, lost, wide)).soles.values()
     assert ["visual shapes" in sole.source for sole in soles] == [True, True]

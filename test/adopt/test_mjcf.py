@@ -154,6 +154,47 @@ def test_what_follows_from_a_missing_mesh_is_named_and_a_file_of_another_machine
     assert name.what == "m.stl"
 
 
+def test_meshes_are_found_beside_the_folder_of_the_file_and_in_given_folders_where_the_file_places_them(
+    tmp_path: Path,
+) -> None:
+    """A folder of meshes that MJCF and URDF share; the mesh is neither centred nor along the axes of its frame."""
+    (tmp_path / "mjcf").mkdir()
+    compiler = (r"<worldbody>", '<compiler meshdir="meshes"/><asset><mesh name="m" file="f.stl"/></asset><worldbody>')
+    foot = (r'type="box" size="0.06 0.038 0.01" pos="[^"]*"', 'type="mesh" mesh="m" pos="0 0 0.01"')
+    foot_mass = (r'(<body name="\w+_foot"[^>]*>)', r'\1<inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>')
+    path = edited(tmp_path / "mjcf", compiler, foot, foot_mass)
+    box = trimesh.creation.box((0.12, 0.076, 0.02))
+    box.apply_translation((0.015, 0.006, -0.045))
+    for folder, places in (("meshes", []), ("elsewhere", [tmp_path / "elsewhere"])):
+        (tmp_path / folder).mkdir()
+        box.export(tmp_path / folder / "f.stl")
+        urdf, _ = load_mjcf(path, places)
+        sole = find_anatomy(urdf, Shapes(urdf, path)).soles[Foot.LEFT]
+        np.testing.assert_allclose([sole.length, sole.width], [0.12, 0.076], atol=1e-3)
+        np.testing.assert_allclose(sole.pose.translation(), [0.015, 0.006, -0.045], atol=1e-6)
+        (tmp_path / folder / "f.stl").unlink()
+    foot, _ = load_mjcf(path)
+    assert foot.links["left_foot"].collisions[0].origin[:3, 3] == pytest.approx([0.0, 0.0, 0.01])  # without the mesh
+
+
+def test_pictures_height_fields_and_settings_of_other_versions_are_not_needed(tmp_path: Path) -> None:
+    old = '<option collision="predefined"><flag sensornoise="enable"/></option>'
+    lost = (
+        '<asset><texture name="t" type="2d" file="logo.png"/><material name="logo" texture="t"/>'
+        '<hfield name="hills" file="hills.png" size="1 1 1 1"/></asset>'
+    )
+    hills = '<geom type="hfield" hfield="hills"/>'
+    drawn = (r'<geom class="picture" type="sphere"', '<geom class="picture" material="logo" type="sphere"')
+    path = edited(tmp_path, (r"<worldbody>", f'{lost}<include file="old.xml"/><worldbody>{hills}'), drawn)
+    (tmp_path / "old.xml").write_text(f"<mujoco>{old}</mujoco>")
+    urdf, _ = load_mjcf(path)
+    assert find_anatomy(urdf, Shapes(urdf, path)).kinds == "YRPPPR"
+    assert [text for text in urdf.repairs if "another version" in text] == [
+        "<option> has the attribute 'collision' of another version of MuJoCo: left out",
+        "<flag> has the attribute 'sensornoise' of another version of MuJoCo: left out",
+    ]
+
+
 def test_what_a_scene_has_beside_the_robot_is_not_needed(tmp_path: Path) -> None:
     """A pair of contacts with the floor of another file, a keyframe of another size, and a mesh without a volume."""
     flat = '<asset><mesh name="flat" vertex="0 0 0 1e-6 0 0 0 1e-6 0 0 0 1e-6"/></asset><worldbody>'
