@@ -68,6 +68,7 @@ setup(
         (f"share/{NAME}/config", sorted(glob("config/*.*"))),
         (f"share/{NAME}/config/motors", sorted(glob("config/motors/*.yaml"))),
         (f"share/{NAME}/config/security", sorted(glob("config/security/*.xml"))),
+        (f"share/{NAME}/config/nav2", sorted(glob("config/nav2/*"))),
         (f"share/{NAME}/config/plants", sorted(glob("config/plants/*.yaml"))),
         (f"share/{NAME}/config/overlays", sorted(glob("config/overlays/*.yaml"))),
         (f"share/{NAME}/config/ros2_control", sorted(glob("config/ros2_control/*.yaml"))),

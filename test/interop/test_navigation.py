@@ -1,4 +1,7 @@
-"""A navigation client like Nav2: velocities in, odometry out, using only what a real robot provides."""
+"""A navigation client like Nav2: velocities in, odometry out, using only what a real robot provides.
+
+Its limits, its tolerance and its map are those of config/nav2/.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,19 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import pytest
+import yaml
 from geometry_msgs.msg import Twist
 from inside import subscribed
 from nav_msgs.msg import Odometry
 
-from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.config import find_share, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.walks.table import make_walk
+
+NAV2 = yaml.safe_load(find_share("config/nav2", "nav2.yaml").read_text())
+ROOM = yaml.safe_load(find_share("config/nav2", "room.yaml").read_text())
 
 
 @dataclass(frozen=True)
@@ -51,11 +59,28 @@ class Client:
         return out
 
 
-STANDING, DYNAMIC = Client("poppy", 0.02, 0.05, 0.02, 0.05), Client("poppy_dynamic", 0.12, 0.18, 0.05, 0.08)
-ROBOT, OBSTACLE = 0.18, 0.10
-"""Radii of the robot, with its arms and the sway of its pelvis, and of each obstacle [m]."""
-_CELL, _LOOK = 0.05, 0.2
+def parameters(node: str) -> Any:
+    """Return the parameters of a node of Nav2."""
+    return NAV2[node]["ros__parameters"]
+
+
+_MOST, _NEAR = parameters("velocity_smoother")["max_velocity"], parameters("controller_server")["goal_checker"]
+STANDING = Client("poppy", 0.02, 0.05, 0.02, 0.05)
+DYNAMIC = Client("poppy_dynamic", _MOST[0], _MOST[2], _NEAR["xy_goal_tolerance"], 0.08)
+ROBOT = NAV2["global_costmap"]["global_costmap"]["ros__parameters"]["robot_radius"]
+"""Radius of the robot [m]."""
+_CELL, _LOOK = 0.05, parameters("controller_server")["FollowPath"]["lookahead_dist"]
 """Grid of the plan, and distance along the path of the place that is walked towards [m]."""
+OBSTACLE = 0.5 * math.sqrt(2.0) * ROOM["resolution"]
+"""Largest distance of a point of an occupied cell of the map from its middle [m]."""
+
+
+def occupied() -> np.ndarray:
+    """Return the middles of the occupied cells of the map, shape (n, 2) [m]."""
+    _, width, _, _, *values = find_share("config/nav2", ROOM["image"]).read_text().split()
+    image = np.array(values, int).reshape(-1, int(width))[::-1]  # from the bottom
+    rows, columns = np.nonzero(image < 128)
+    return np.array(ROOM["origin"][:2]) + ROOM["resolution"] * (np.stack([columns, rows], axis=1) + 0.5)
 
 
 def path(start: np.ndarray, goal: np.ndarray, obstacles: np.ndarray) -> np.ndarray:
@@ -153,13 +178,8 @@ def test_five_goals_on_a_square_of_one_metre_are_reached(make: Any) -> None:
 @pytest.mark.long
 @pytest.mark.timeout(3000)
 def test_twenty_goals_among_obstacles_are_reached_by_the_dynamic_walk(make: Any) -> None:
-    """Eight columns in a room of 2.4 m, which the robot does not touch; a localization corrects its odometry."""
-    rng = np.random.default_rng(1)
-    obstacles = np.zeros((0, 2))
-    while len(obstacles) < 8:
-        new = rng.uniform(-1.1, 1.1, 2)
-        if np.linalg.norm(new) > 0.5 and (not len(obstacles) or np.linalg.norm(obstacles - new, axis=1).min() > 0.6):
-            obstacles = np.vstack([obstacles, new])
+    """Eight columns in a room, none of which the robot touches; a localization corrects its odometry."""
+    rng, obstacles = np.random.default_rng(1), occupied()
     goals: list[np.ndarray] = []
     while len(goals) < 20:
         goal = rng.uniform(-1.1, 1.1, 2)
@@ -170,3 +190,16 @@ def test_twenty_goals_among_obstacles_are_reached_by_the_dynamic_walk(make: Any)
     assert len(reached) == 20
     assert max(true for true, _ in reached) < DYNAMIC.within
     assert min(free for _, free in reached) > ROBOT
+
+
+def test_the_limits_for_nav2_are_walked_unchanged() -> None:
+    """Also together: the walk scales larger velocities down, and Nav2 would not know."""
+    smoother, follow = parameters("velocity_smoother"), parameters("controller_server")["FollowPath"]
+    config = load(DYNAMIC.name).updated({"gait.steps": 0})
+    walk = make_walk(config, load_model(config.robot))
+    for x in (smoother["min_velocity"][0], 0.0, DYNAMIC.speed):
+        for turn in (smoother["min_velocity"][2], 0.0, DYNAMIC.turn):
+            assert walk.steer(x, 0.0, turn) == pytest.approx((x, 0.0, turn), rel=1e-9)
+    assert 1.0 / smoother["smoothing_frequency"] < smoother["velocity_timeout"] < config.gait.cmd_vel_timeout
+    assert (follow["desired_linear_vel"], follow["rotate_to_heading_angular_vel"]) == (DYNAMIC.speed, DYNAMIC.turn)
+    assert follow["regulated_linear_scaling_min_radius"] >= DYNAMIC.speed / DYNAMIC.turn

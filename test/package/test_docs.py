@@ -172,15 +172,3 @@ def test_the_documented_speeds_are_those_of_the_walks():
         forward, _, about = speeds(walk_type(config)(config, load_model(config.robot)))
         for shown, true in ((ahead, forward), (turn, about)):
             assert 0.0 <= true - float(shown) < 1e-3
-
-
-def test_the_documented_limits_of_a_smoother_are_walked_unchanged():
-    """Also together: the walk scales larger ones down, and Nav2 would not know."""
-    (block,) = [one for one in blocks(ROOT / "docs/interfaces.md", "yaml") if one.startswith("velocity_smoother")]
-    smoother = yaml.safe_load(block)["velocity_smoother"]["ros__parameters"]
-    config = load("poppy_dynamic").updated({"gait.steps": 0})
-    walk = walk_type(config)(config, load_model(config.robot))
-    for x in (smoother["min_velocity"][0], 0.0, smoother["max_velocity"][0]):
-        for turn in (smoother["min_velocity"][2], 0.0, smoother["max_velocity"][2]):
-            assert walk.steer(x, 0.0, turn) == pytest.approx((x, 0.0, turn), rel=1e-9)
-    assert 1.0 / smoother["smoothing_frequency"] < smoother["velocity_timeout"] < config.gait.cmd_vel_timeout

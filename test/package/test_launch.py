@@ -245,6 +245,10 @@ def others(monkeypatch: pytest.MonkeyPatch, defined: dict[str, Any]) -> dict[str
     """Return the names that the other launch files define, by the name of the file."""
     for module in ("launch.conditions", "launch.launch_description_sources", "launch_ros.parameter_descriptions"):
         monkeypatch.setitem(sys.modules, module, Launch(module))
+    found = Launch("ament_index_python.packages")  # it finds every package
+    found.PackageNotFoundError = KeyError
+    monkeypatch.setitem(sys.modules, "ament_index_python", Launch("ament_index_python"))
+    monkeypatch.setitem(sys.modules, found.__name__, found)
     files = [file for file in FILE.parent.iterdir() if file != FILE]
     return {file.name.removesuffix(".launch.py"): runpy.run_path(str(file)) for file in files}
 
@@ -276,7 +280,7 @@ def test_nodes_are_discovered_on_this_machine_only_unless_asked_otherwise(
         declared = {one.args[0]: one.given for one in actions if type(one).__name__ == "DeclareLaunchArgument"}
         assert declared.keys() - {"discovery"} == own["ARGUMENTS"].keys()
         assert type(actions[-1]).__name__ == "OpaqueFunction"
-        if name == "demo":  # it includes walk.launch.py
+        if name in ("demo", "nav2"):  # they include walk.launch.py
             assert "discovery" not in declared
             continue
         (variable,) = (one for one in actions if type(one).__name__ == "SetEnvironmentVariable")
@@ -307,6 +311,36 @@ def test_the_demo_is_a_steered_walk_in_physics_on_the_page(others: dict[str, dic
         assert (config.gait.style, config.gait.steps, config.gait.cmd_vel_timeout) == ("dynamic", 0, timeout)
         assert config.node.autostart
         assert config.plant.imu
+
+
+def test_nav2_steers_the_demo_within_its_limits(others: dict[str, dict[str, Any]]) -> None:
+    """Each managed node has parameters under its name, and wanted velocities reach the walk through the smoother."""
+    own = others["nav2"]
+    given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()}
+    walk, *started = own["nodes"](given | {"set": "gait.lead=1"})
+    assert dict(walk.given["launch_arguments"])["set"] == "gait.lead=1"
+    nodes = {one.given["name"]: one.given for one in started}
+    managed = nodes["lifecycle_manager"]["parameters"][0]["node_names"]
+    parameters = yaml.safe_load((ROOT / "config" / "nav2" / "nav2.yaml").read_text())
+    assert set(managed) | {"local_costmap", "global_costmap"} == set(parameters)
+    assert set(nodes) == {*managed, "lifecycle_manager", "map"}
+    alone = own["nodes"](given | {"walk": "false", "fixed": "false"})
+    assert [one.given["name"] for one in alone] == [*managed, "lifecycle_manager"]
+    renamed = {name: dict(nodes[name]["remappings"]) for name in managed}
+    assert {name for name, topics in renamed.items() if topics.get("cmd_vel") == "cmd_vel_nav"} == {
+        "controller_server", "behavior_server", "velocity_smoother",
+    }  # fmt: skip
+    assert [name for name, topics in renamed.items() if "cmd_vel" in topics.values()] == ["velocity_smoother"]
+
+
+def test_nav2_that_is_not_installed_is_named(others: dict[str, dict[str, Any]]) -> None:
+    def missing(package: str) -> str:
+        raise KeyError(package)
+
+    own = others["nav2"]
+    own["nodes"].__globals__["get_package_prefix"] = missing
+    with pytest.raises(RuntimeError, match="sudo apt install ros-jazzy-navigation2"):
+        own["nodes"]({name: default for name, (default, *_) in own["ARGUMENTS"].items()})
 
 
 def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:
