@@ -111,8 +111,9 @@ def find_package_file(
     parts = pathlib.PurePosixPath(rest.replace("\\", "/").lstrip("/")).parts
     tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1) if ".." not in parts[k:]]
     found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
-    if not separator:
-        found += [pathlib.Path(place) / tail for place in places for tail in (*tails, *parts[-1:])]
+    if not separator and parts:
+        tails.append(pathlib.PurePosixPath(parts[-1]))
+        found += [pathlib.Path(place) / tail for place in places for tail in tails]
     return next((place for place in found if _is_file(place)), None)
 
 
