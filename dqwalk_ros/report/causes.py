@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.report.metrics import Series, hull_margin, support_polygon
+from dqwalk_ros.report.hull import hull_margin
+from dqwalk_ros.report.metrics import Series, support_polygon
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.robot.standing_limits import Finding, divergent_component, longest_delay, servo_findings
 from dqwalk_ros.support.arrays import Array

@@ -20,7 +20,7 @@ from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.table import make_plant
-from dqwalk_ros.report.metrics import shortfall
+from dqwalk_ros.report.ground import shortfall
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.plan import digest
@@ -110,7 +110,7 @@ class Outcome(msgspec.Struct, frozen=True):
     Attributes
     ----------
     stood : bool
-        Whether it was finished upright, and its soles went where its steps lead (`report.metrics.shortfall`).
+        Whether it was finished upright, and its soles covered the path of its steps (`report.ground.shortfall`).
     reason : str
         Why it did not stand, or what is not OK.
     ok : bool or None

@@ -18,7 +18,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.binding import limits_at
-from dqwalk_ros.report.metrics import TIPPED, commanded_way, middle, shortfall
+from dqwalk_ros.report.ground import TIPPED, commanded_way, middle, shortfall
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.simulation import closed_loop
@@ -61,7 +61,7 @@ class Outcome(msgspec.Struct, frozen=True):
     Attributes
     ----------
     stood : bool
-        Whether the robot was upright at the end of the walk, and its soles went where its steps lead.
+        Whether the robot was upright at the end of the walk, and its soles covered the path of its steps.
     time : float
         Time at which the walk ended [s].
     steps : int

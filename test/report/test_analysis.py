@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +15,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.figures import drawn, figure7, figure8, figure9, top_view
-from dqwalk_ros.report.metrics import commanded_way, hull_margin, pelvis_in_odom, shortfall
 from dqwalk_ros.report.table import numbers
-from dqwalk_ros.trace import PhysicsRecord
 
 RED = "#d1242f"
 
@@ -66,19 +63,6 @@ def test_series_match_the_phase_at_each_tick(trace, series):
             np.testing.assert_allclose(series.com[tick], kin.com, rtol=0, atol=1e-15)
             for name, value in span.phase.distances(kin.q).items():
                 assert (series.distances | series.residuals)[name][tick] == pytest.approx(value, abs=1e-14), name
-
-
-def test_the_commanded_way_is_that_of_the_middle_between_the_soles(trace):
-    """A first step of a length, whose foot begins beside the other one, then two of the double length."""
-    steps = []
-    for support, side in ((Foot.LEFT, -1.0), (Foot.RIGHT, 1.0), (Foot.LEFT, -1.0)):
-        kin = Kinematics(trace.model, np.zeros(trace.model.n), support)
-        target = DQ.from_pose([0.05, side * abs(kin.point(kin.swing)[1]), 0.0]).vec8()
-        steps.append(SimpleNamespace(model=trace.model, q_start=kin.q, base=support, swing_target=target))
-    assert commanded_way(steps) == pytest.approx(0.025 + 0.05 + 0.05, abs=1e-12)
-    assert "went 0.09 m, its steps lead 0.12 m" in shortfall(0.09, commanded_way(steps))
-    assert not shortfall(0.11, commanded_way(steps))
-    assert not shortfall(0.0, commanded_way([]))
 
 
 def test_distances_are_nan_outside_their_phase(series):
@@ -151,58 +135,6 @@ def test_true_margin_in_double_support_uses_the_convex_hull(series):
     assert series.urdf_margin is not None  # the sole of paper.yaml differs from the one of the URDF
 
 
-@pytest.mark.parametrize("count", [4, 8])
-def test_vectorized_hull_margins_match_single_ones(count):
-    rng = np.random.default_rng(3)
-    points, p = rng.normal(size=(5000, count, 2)), rng.normal(scale=1.2, size=(5000, 2))
-    one_by_one = [ConvexPolygon.hull(k).distance(q) for k, q in zip(points, p, strict=True)]
-    np.testing.assert_allclose(hull_margin(points, p), one_by_one, atol=2e-9)  # a hull rounds to 1e-9
-    assert min(one_by_one) < 0.0 < max(one_by_one)
-
-
-def test_hulls_of_touching_soles():
-    """Coinciding corners and collinear edges, as of two soles side by side."""
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    points = np.concatenate([square, square + np.array([1.0, 0.0])])[None]
-    for p, expected in (([1.0, 0.4], 0.4), ([0.25, 0.5], 0.25), ([3.0, 0.5], -1.0), ([3.0, 2.0], -np.sqrt(2.0))):
-        assert hull_margin(points, np.array([p]))[0] == pytest.approx(expected)
-
-
-def on_the_ground(trace, effort):
-    """Return the series of a walk in physics, with some torques of the joints (N, n)."""
-    count = len(trace)
-    known = PhysicsRecord(
-        pelvis=pelvis_in_odom(trace),
-        wrenches={foot: np.tile([0.0, 0.0, 10.0, 0.0, 0.0, 0.0], (count, 1)) for foot in Foot},
-        cop=np.zeros((count, 3)),
-        orientation=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
-        gyro=np.zeros((count, 3)),
-        acceleration=np.zeros((count, 3)),
-        q=trace.q,
-        effort=effort,
-    )
-    return reporting.analyse(dataclasses.replace(trace, physics=known))
-
-
-def test_power_is_torque_times_velocity(trace):
-    """A constant torque on one joint does the work tau (q_end - q_start); the power is its absolute value."""
-    joint, torque = 3, 2.0
-    effort = np.zeros((len(trace), trace.model.n))
-    effort[:, joint] = torque
-    series = on_the_ground(trace, effort)
-    ground, angle = series.ground, trace.q[:, joint]
-    rises, periods = np.maximum(np.diff(angle), 0.0).sum(), np.diff(trace.time)
-    assert np.isnan(ground.power[0])
-    assert ground.work[1:] @ periods == pytest.approx(torque * rises)
-    assert ground.power[1:] @ periods == pytest.approx(torque * np.abs(np.diff(angle)).sum())
-    energy = reporting.report(series)["physics"]["energy"]
-    assert energy["positive"] == pytest.approx(ground.work[1:].mean())
-    assert energy["cost_of_transport"] > 0.0
-    heavy = dataclasses.replace(trace, config=trace.config.updated({"physics.mass_scale": 2.0}))
-    of_heavy = reporting.report(on_the_ground(heavy, effort))["physics"]["energy"]
-    assert of_heavy["cost_of_transport"] == pytest.approx(0.5 * energy["cost_of_transport"])
-
-
 # ---------------------------------------------------------------------- report
 
 
@@ -260,13 +192,6 @@ def test_report_values_of_the_walk(trace, series, report):
     assert walk["margin"]["paper"]["value"] == series.paper_margin.min()
     assert walk["margin"]["true"]["value"] == series.true_margin.min()
     assert walk["margin"]["true_urdf_sole"]["value"] == series.urdf_margin.min()
-
-
-def test_the_time_of_a_step_is_from_landing_to_landing(trace, report):
-    """Double support before the first step, and the time until the end, are no part of it."""
-    landings = [phase["end"] for phase in report["phases"] if "landing" in phase]
-    in_physics = reporting.report(on_the_ground(trace, np.zeros_like(trace.u)))["physics"]
-    assert in_physics["seconds_per_step"] == pytest.approx(landings[1] - landings[0])
 
 
 def test_the_step_that_puts_the_feet_together_is_counted_apart(report):

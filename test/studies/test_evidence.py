@@ -134,7 +134,7 @@ def test_a_walk_that_is_stopped_by_a_step_does_not_count_as_stood() -> None:
     row = Row("a step", "poppy_dynamic", params=["rough"], set={"physics.rise": 0.03, "gait.steps": 13})
     found = evidence._evaluate({"": row.made()}, {"": 0.0}, 0, {"row": "", "engine": "physics", "seed": 1})
     assert not found.stood
-    assert found.reason.startswith("the robot was stopped: its soles went 0.2")
+    assert found.reason.startswith("the robot was stopped: its soles moved 0.2")
     cell = robustness.walk(row.made(), 0, {})
     assert not cell.stood
-    assert cell.reason.startswith("the robot was stopped: its soles went 0.2")
+    assert cell.reason.startswith("the robot was stopped: its soles moved 0.2")

@@ -19,7 +19,6 @@ from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.base import upward
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.metrics import Circle
 from dqwalk_ros.report.viewer.page import _COURSES
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError
@@ -192,15 +191,6 @@ def test_the_report_detects_a_loss_of_balance(short) -> None:
     q = short.physics.q.copy()
     q[-20:] = short.model.posture(["?_hip_y=-1.7", "?_knee_y=2.3", "?_ankle_y=-0.6"])
     assert "fallen" in violated(tampered(short, q=q))
-
-
-def test_a_circle_is_fitted_through_points() -> None:
-    angles = np.linspace(0.0, 5.0, 40)
-    p = np.array([0.3, -0.2]) + 0.5 * np.column_stack([np.cos(angles), np.sin(angles)])
-    circle = Circle.through(p)
-    assert circle.center == pytest.approx([0.3, -0.2])
-    assert circle.radius == pytest.approx(0.5)
-    assert circle.deviation < 1e-9
 
 
 def test_an_invalid_course_is_a_command_line_error(tmp_path: Path, capsys) -> None:
