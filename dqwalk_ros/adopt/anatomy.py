@@ -364,7 +364,9 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
         Entry(
             "locked in the legs", _locked(skeleton, legs), "joints between pelvis and foot that do not turn", "likely"
         ),
-        Entry("without torque limit", _tireless(skeleton, legs), "other joints of the legs have one", "guess"),
+        Entry(
+            "without torque limit", _without_torque_limit(skeleton, legs), "other joints of the legs have one", "guess"
+        ),
         Entry("limits of the legs", _unlike_limits(skeleton, legs), "an axis or a limit is wrong", "guess"),
         Entry("the legs can", " and ".join(does) or "only bend", "rank of their axes with bent knees"),
         *(Entry(f"{foot.value} sole", str(sole), sole.source, sole.confidence) for foot, sole in soles.items()),
@@ -423,7 +425,7 @@ def _locked(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:
     return ", ".join(out)
 
 
-def _tireless(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:
+def _without_torque_limit(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:
     """Return the joints of the legs without a torque limit, if others have one."""
     joints = [name for names in legs.values() for name in names]
     free = [name for name in joints if math.isinf(skeleton.joints[name].limit.effort)]

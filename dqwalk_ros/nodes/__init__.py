@@ -1,4 +1,4 @@
-"""The ROS 2 nodes around the core; the only folder that imports rclpy.
+"""The ROS 2 nodes around the core; rclpy is imported here and in `dqwalk_ros.whole_body.nodes` only.
 
 =========================  ===========================================================================
 `command_line`             help, options and console scripts of the nodes; works without ROS
@@ -14,6 +14,7 @@
 `answering`                base class of both controllers: state checks, stopping the robot
 `inputs`                   inertial sensor, joint commands and cmd_vel, checked on arrival
 `footsteps`                commanded footsteps (nav_msgs/Path)
+`arms`                     commands to the arms: trajectories of joints, poses of hands
 `phases`                   publishes the phases of a walk; rebuilds them from the topics
 `markers`                  shapes for RViz and Foxglove
 `odometry`                 odom, base_pose and /tf
@@ -22,11 +23,9 @@
 `poppy_driver`             the same on a real Poppy
 `drive`                    joint_velocity_commands -> the controllers of another robot, such as ros2_control's
 `pilot`                    a course -> cmd_vel
-`whole_body_controller`    joint_states, base_pose, base_twist -> joint_effort_commands
-`rigid`                    joint_effort_commands -> joint_states, base_pose, base_twist: rigid-body simulation
 `phase_monitor`            /diagnostics and markers, recomputed from the topics
 `recorder`                 records a rosbag2
 `viewer`                   shows the walk in the browser
-`doctor`                   the checks of `dqwalk doctor`: is the robot ready to walk?
+`doctor`                   no node, but the checks of `dqwalk doctor`, which listen to the topics
 =========================  ===========================================================================
 """

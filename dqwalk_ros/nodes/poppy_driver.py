@@ -137,7 +137,7 @@ class PoppyDriver(WalkNode):
         passed, self._sent_at = now - self._sent_at, now
         dt = min(passed, 2.0 * self._period)
         u = gate.velocity(self._plant.commanded, dt)
-        self._plant.tell(None if gate.holding else Command(self._stamp * 1e-9, u, gate.effort), dt)
+        self._plant.write(None if gate.holding else Command(self._stamp * 1e-9, u, gate.effort), dt)
 
     def _publish(self) -> None:
         """Publish the measured angles, and the goals at that time."""
@@ -166,7 +166,7 @@ class PoppyDriver(WalkNode):
             reason = "the torque is off: call ~/activate"
         if not reason and not plant.ready:
             reason = "moving to the first pose"
-            self.get_logger().info(f"{reason}: {plant.left:.2f} rad left", **throttled())
+            self.get_logger().info(f"{reason}: {plant.remaining:.2f} rad left", **throttled())
         self._commands.forbid(reason)
 
     def _on_activate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -205,7 +205,9 @@ class PoppyDriver(WalkNode):
         if not faults and not plant.ready:
             level = "WARN"
             text = (
-                f"moving to the first pose: {plant.left:.2f} rad left" if plant.active else self._commands.gate.refused
+                f"moving to the first pose: {plant.remaining:.2f} rad left"
+                if plant.active
+                else self._commands.gate.refused
             )
         i = int(self._lag.argmax())
         values = {**self._counts, **self._commands.counts()}

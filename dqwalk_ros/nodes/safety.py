@@ -1,8 +1,9 @@
-"""Decides which states a controller accepts, which commands a plant executes, and when either must stop.
+"""Decides which commands a plant executes, and detects silence, repeated faults and duplicate nodes.
 
-The decisions of ``docs/faults.md`` that need no ROS are made here, with a clock that tests can replace; the nodes call
-this file and publish the result. Two rules apply everywhere. A rejected message changes nothing and does not feed a
-watchdog. A timeout is measured from the *receipt* of a message, on a steady clock; its stamp is used for order only.
+These decisions of ``docs/faults.md`` need no ROS, and their clock can be replaced by tests; the nodes publish the
+result. `state_gate` decides likewise which states a controller accepts. Two rules apply to both. A rejected message
+changes nothing and does not feed a watchdog. A timeout is measured from the *receipt* of a message, on a steady clock;
+its stamp is used for order only.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ Clock = Callable[[], float]
 
 
 class JointOrder:
-    """Sorts values that have joint names into the order of the model's joints.
+    """Puts values with joint names into the order of the model's joints.
 
     Joints that the model does not have are ignored. Any other mismatch rejects the whole message.
     """
@@ -188,7 +189,9 @@ class DuplicateStates:
     """
 
     looks = 2
+    """Number of consecutive checks with such a sign from which on two plants are reported."""
     backs = 3
+    """Number of stamps that go back between two checks which is such a sign."""
 
     def __init__(self, period: float) -> None:
         self._period = period

@@ -1,1 +1,3 @@
-"""Urban and Adorno, in this order: dual_quaternions geometry kinematics constraints tasks assembly qp walk."""
+"""Urban and Adorno, in this order: dual_quaternions geometry kinematics features constraints tasks assembly qp phase
+walk. Not in the paper: `collisions` (distances between parts that both move), `statics` (torques against gravity).
+"""

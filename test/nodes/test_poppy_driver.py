@@ -311,7 +311,7 @@ def test_commands_move_the_robot_whatever_their_stamps(make: Any, monkeypatch: p
     one, _ = driver_node(make, monkeypatch, CONFIG)
     node, passed = one.node, []
     node._plant._law.active = node._plant.ready = True
-    node._plant.tell = lambda command, dt: passed.append(dt)
+    node._plant.write = lambda command, dt: passed.append(dt)
     node._commands.forbid("")
     node._stamp = 1_000_000_000
     names = node._plant.names[:10]

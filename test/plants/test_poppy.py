@@ -142,7 +142,7 @@ def test_a_servo_is_fast_enough_for_its_command_and_its_error(rig: Rig) -> None:
     for _ in range(5):
         rig.tick(0.3, 1.0)
     u = 0.3
-    rig.plant.tell(Command(0.0, np.full(rig.model.n, u), None), DT)
+    rig.plant.write(Command(0.0, np.full(rig.model.n, u), None), DT)
     error = abs(rig.plant.goal[k] - rig.plant.measured.q[k])
     speed = rig.memory.servo("l_knee_y").word(32) * TYPES["MX-28"].speed_unit
     assert speed == pytest.approx(math.degrees(1.5 * u + error / DT), abs=1.0)
@@ -319,18 +319,18 @@ def test_a_joint_whose_limits_exclude_zero_has_its_first_pose_at_the_nearest_lim
     assert math.degrees(rig.plant.measured.q[k]) == pytest.approx(nearest, abs=0.5 + math.degrees(0.1))
     rig.run(2.0)
     assert math.degrees(rig.plant.measured.q[k]) == pytest.approx(nearest, abs=0.5)
-    assert rig.plant.left < 0.01
+    assert rig.plant.remaining < 0.01
 
 
 def test_the_distance_from_the_first_pose_is_that_of_the_farthest_joint() -> None:
     rig = Rig(angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
     rig.tick()
-    assert rig.plant.left == pytest.approx(math.radians(70.0), abs=0.01)
+    assert rig.plant.remaining == pytest.approx(math.radians(70.0), abs=0.01)
 
 
 def test_a_period_of_zero_sends_no_goals(rig: Rig) -> None:
     goals = rig.plant.goal.copy()
-    rig.plant.tell(Command(0.0, np.ones(rig.model.n), np.ones(rig.model.n)), 0.0)
+    rig.plant.write(Command(0.0, np.ones(rig.model.n), np.ones(rig.model.n)), 0.0)
     np.testing.assert_array_equal(rig.plant.goal, goals)
 
 
@@ -353,7 +353,7 @@ def test_a_command_that_is_not_finite_is_refused(rig: Rig, u: float) -> None:
     one = np.zeros(rig.model.n)
     one[3] = u
     with pytest.raises(PlantError, match="finite velocities"):
-        rig.plant.tell(Command(0.0, one), DT)
+        rig.plant.write(Command(0.0, one), DT)
     np.testing.assert_array_equal(rig.plant.goal, goals)
 
 
@@ -361,14 +361,14 @@ def test_a_command_that_is_not_finite_is_refused(rig: Rig, u: float) -> None:
 def test_torques_and_periods_that_are_not_finite_are_refused(rig: Rig, effort: float, dt: float, expected: str) -> None:
     goals = rig.plant.goal.copy()
     with pytest.raises(PlantError, match=expected):
-        rig.plant.tell(Command(0.0, np.zeros(rig.model.n), np.full(rig.model.n, effort)), dt)
+        rig.plant.write(Command(0.0, np.zeros(rig.model.n), np.full(rig.model.n, effort)), dt)
     np.testing.assert_array_equal(rig.plant.goal, goals)
 
 
 def test_torques_are_clamped_to_the_effort_limits(rig: Rig) -> None:
     goals = []
     for effort in (MODEL.effort_max, np.full(MODEL.n, 1e300)):
-        rig.plant.tell(Command(0.0, np.zeros(rig.model.n), effort), DT)
+        rig.plant.write(Command(0.0, np.zeros(rig.model.n), effort), DT)
         goals.append(rig.plant.goal.copy())
     np.testing.assert_array_equal(*goals)
 

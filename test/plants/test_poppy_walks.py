@@ -97,7 +97,7 @@ class PoppyOnTheFloor(Plant):
         self._state = self._sensed(self.driver.state)
 
     def step(self, command: Command, dt: float) -> State:
-        self.driver.tell(command, dt)
+        self.driver.write(command, dt)
         self.robot.step(Command(command.time, np.zeros_like(command.velocity)), dt)
         self.memory.clock.now = self.robot.data.time
         self._measure()

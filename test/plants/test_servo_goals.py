@@ -316,7 +316,7 @@ def poppy_goals() -> Step:
             servo = memory.servo(name)
             servo.moved, servo.blocked = servo.kind.position(MOTORS[name].servo(math.degrees(angle))), True
         plant.read()
-        plant.tell(Command(memory.clock.now, u, effort), PERIOD)
+        plant.write(Command(memory.clock.now, u, effort), PERIOD)
         return np.array([memory.goal(name) for name in MODEL.joint_names])
 
     return step

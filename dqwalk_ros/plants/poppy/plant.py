@@ -261,16 +261,16 @@ class PoppyPlant(Plant):
     # ------------------------------------------------------------------ commands and states
 
     def step(self, command: Command, dt: float) -> State:
-        """Call `tell` and return the state of `read`."""
-        self.tell(command, dt)
+        """Call `write` and return the state of `read`."""
+        self.write(command, dt)
         return self.read()
 
     def hold(self, dt: float) -> State:
         """Send the last goals again, or go on to the first pose, and return the state of `read`."""
-        self.tell(None, dt)
+        self.write(None, dt)
         return self.read()
 
-    def tell(self, command: Command | None, dt: float) -> None:
+    def write(self, command: Command | None, dt: float) -> None:
         """Send goals that move the joints as commanded for `dt` [s], or towards the first pose until it is reached.
 
         Without a command the last goals are sent again. None are sent while the torque is off, a fault is present or
@@ -371,7 +371,7 @@ class PoppyPlant(Plant):
         return self._gate.fresh(self._clock())
 
     @property
-    def left(self) -> float:
+    def remaining(self) -> float:
         """Largest angle between a joint and its first pose [rad]."""
         return float(np.abs(self._first - self.measured.q).max())
 
