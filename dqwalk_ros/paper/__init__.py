@@ -1,3 +1,4 @@
-"""Urban and Adorno, in this order: dual_quaternions geometry kinematics features constraints tasks assembly qp phase
-walk. Not in the paper: `collisions` (distances between parts that both move), `statics` (torques against gravity).
+"""Urban and Adorno, in this order: dual_quaternions geometry kinematics features constraints tasks assembly qp walk.
+
+Not in the paper: `collisions` (distances between parts that both move), `statics` (torques against gravity).
 """
