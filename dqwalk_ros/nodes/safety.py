@@ -339,7 +339,7 @@ class CommandGate:
         return f"stamped {abs(off):.3f} s {'after' if off > 0.0 else 'before'} the last state"
 
     def velocity(self, q: Array, dt: float) -> Array:
-        """Return the velocities with which to move for `dt` [s] from `q`: clamped, and zero while the plant holds."""
+        """Return the velocities (n,) with which to move for `dt` [s] from `q` (n,): clamped, zero while it holds."""
         return self._zero if self.holding else clamp_velocity(self._u, q, self._model, dt)
 
     def hold(self) -> None:

@@ -87,7 +87,7 @@ def _unit(e):  # type: ignore[no-untyped-def]
 
 @jit
 def capsules_apart(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Distance of two segments, s = (their ends), less the sum a[0] of their radii [m], and its gradient.
+    """Distance of two segments, s (12,) = (their ends), less the sum a[0] of their radii [m], and its gradient.
 
     At the least distance the fractions t and r do not matter to first order, so the gradient is that of fixed ones.
     """
@@ -173,7 +173,7 @@ def capsules_in(config: Config, model: RobotModel) -> tuple[CapsulesApart, ...]:
 
 @jit
 def lines_apart(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Distance of two lines, s = (p, l, p', l') with unit directions l and l', less a[0] [m], and its gradient.
+    """Distance of two lines, s (12,) = (p, l, p', l'), unit directions l and l', less a[0] [m], and its gradient.
 
     Parallel lines have the distance of p from the other line; there the distance has a kink, because lines that are
     not quite parallel meet far away, and the gradient is that of p.
@@ -212,7 +212,7 @@ class LinesApart(Constraint):
 
 @jit
 def outside_line(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Distance of a point from a line, s = (point, p, l) with the unit direction l, less a[0] [m], and its gradient."""
+    """Distance of a point from a line, s (9,) = (point, p, l), unit direction l, less a[0] [m], and its gradient."""
     w = s[:3] - s[3:6]
     along = w @ s[6:]
     length, n = _unit(w - along * s[6:])
@@ -243,7 +243,7 @@ class PointOutsideLine(Constraint):
 
 @jit
 def in_cone(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Return 2 - 2 cos(a[3]) - |l - a[:3]|^2 of the unit direction l = s, and its gradient.
+    """Return 2 - 2 cos(a[3]) - |l - a[:3]|^2 of the unit direction l = s (3,), and its gradient.
 
     |l - l'|^2 = 2 - 2 cos(angle) is smooth where the directions are equal or opposite; the angle itself is not.
     """
@@ -297,7 +297,7 @@ class AxisInCone(Constraint):
 
 @jit
 def outside_sphere(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Distance of a point s from the centre a[:3] + elapsed a[3:6], less a[6] [m], its gradient, and its residual."""
+    """Distance of a point s (3,) from the centre a[:3] + elapsed a[3:6], less a[6] [m], its gradient and residual."""
     length, n = _unit(s - a[:3] - elapsed * a[3:6])
     return np.array([length - a[6]]), n.reshape(1, 3), np.array([-(n @ a[3:6])])
 
@@ -334,7 +334,7 @@ class PointOutsideSphere(Constraint):
 
 @jit
 def over_moving_plane(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Return <p - o, n> - a[0] [m] of s = (p, o, n), and its gradient."""
+    """Return <p - o, n> - a[0] [m] of s (9,) = (p, o, n), and its gradient."""
     w, n = s[:3] - s[3:6], s[6:]
     return np.array([w @ n - a[0]]), np.concatenate((n, -n, w)).reshape(1, 9), np.zeros(1)
 

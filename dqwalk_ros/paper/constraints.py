@@ -157,7 +157,7 @@ class Constraint(Quantity):
 
 @jit
 def inside_cylinder(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Return r^2 - |p x l - m|^2 [m^2] of p = s and its gradient, with a = (l, m, r): (U7) and (U14)."""
+    """Return r^2 - |p x l - m|^2 [m^2] of p = s (3,) and its gradient, with a (7,) = (l, m, r): (U7) and (U14)."""
     square, gradient = point_to_line_squared(s, a[:3], a[3:6])
     return np.array([a[6] ** 2 - square]), -gradient.reshape(1, 3), np.zeros(1)
 
@@ -212,7 +212,7 @@ class PointOverPlane(Affine, Constraint):
 
     @cached_property
     def A(self) -> Array:
-        """The normal of the plane: d = <p, n> - d_plane, (U8) and (U11)."""
+        """The normal of the plane, shape (1, 3): d = <p, n> - d_plane, (U8) and (U11)."""
         return self.plane.n[None]
 
     @property
@@ -234,7 +234,7 @@ class PointOverPlane(Affine, Constraint):
 
 @jit
 def inside_wall(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Signed distance of p from the vertical plane through a[:3] and b, s = (p, b), side a[3]: (U9) and (U10) [m]."""
+    """Signed distance of p from the vertical plane through a[:3] and b, side a[3], s (6,) = (p, b): (U9), (U10) [m]."""
     d, gradient = point_to_wall(s, a[:3], a[3])
     return np.array([d]), gradient.reshape(1, 6), np.zeros(1)
 
@@ -314,7 +314,7 @@ class PointsOverPlane(Affine, Constraint):
 
     @cached_property
     def A(self) -> Array:
-        """The normal of the plane, in one row per point."""
+        """The normal of the plane, in one row per point, shape (k, 3 k)."""
         return np.asarray(np.kron(np.eye(len(self.points)), self.plane.n), dtype=np.float64)
 
     @property
@@ -344,12 +344,12 @@ class ComInsideEdges(Affine, Constraint):
 
     @property
     def A(self) -> Array:
-        """Inward normals of the edges."""
+        """Inward normals of the edges, shape (k, 2)."""
         return self.polygon.edges()[0]
 
     @property
     def b(self) -> Array:
-        """Offsets of the edges [m]."""
+        """Offsets of the edges, shape (k,) [m]."""
         return self.polygon.edges()[1]
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
@@ -365,6 +365,12 @@ class AxisLevel(Affine, Constraint):
     """Inner product of a frame's z axis with a fixed direction: for small angles, the inclination along it [rad].
 
     As an equality along x and along y it keeps a sole parallel to the ground.
+
+    Attributes
+    ----------
+    frame : str
+    direction : ndarray, shape (3,)
+        Unit vector in the base frame.
     """
 
     frame: str
@@ -377,7 +383,7 @@ class AxisLevel(Affine, Constraint):
 
     @property
     def A(self) -> Array:
-        """The direction."""
+        """The direction, shape (1, 3)."""
         return self.direction[None]
 
 
@@ -406,7 +412,7 @@ def pose_error(s: Array, p_d: Array, r_d: Array, lever: float) -> tuple[Array, A
 
 @jit
 def held(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Return the pose error from p_d = a[:3] and r_d = a[3:], and its gradient."""
+    """Return the pose error (6,) from p_d = a[:3] and r_d = a[3:], and its gradient (6, 7)."""
     e, gradient = pose_error(s, a[:3], a[3:], 1.0)
     return e, gradient, np.zeros(6)
 
@@ -448,19 +454,19 @@ class FrameHeld(Constraint):
 
 @jit
 def below_maximum(q: Array, q_max: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Return q_max - q of (U12) [rad] and its gradient."""
+    """Return q_max - q of (U12), shape (n,) [rad], and its gradient."""
     return q_max - q, -np.eye(q.shape[0]), np.zeros(q.shape[0])
 
 
 @jit
 def above_minimum(q: Array, q_min: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Return q - q_min of (U13) [rad] and its gradient."""
+    """Return q - q_min of (U13), shape (n,) [rad], and its gradient."""
     return q - q_min, np.eye(q.shape[0]), np.zeros(q.shape[0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointMaximum(Constraint):
-    """Upper joint limits, (U12): q_max - q >= 0 [rad]."""
+    """Upper joint limits `q_max` (n,), (U12): q_max - q >= 0 [rad]."""
 
     q_max: Array
     watches = (JointAngles(),)
@@ -469,7 +475,7 @@ class JointMaximum(Constraint):
 
     @property
     def parameters(self) -> Array:
-        """The limits [rad]."""
+        """The limits, shape (n,) [rad]."""
         return self.q_max
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
@@ -479,7 +485,7 @@ class JointMaximum(Constraint):
 
 @dataclass(frozen=True, kw_only=True)
 class JointMinimum(Constraint):
-    """Lower joint limits, (U13): q - q_min >= 0 [rad]."""
+    """Lower joint limits `q_min` (n,), (U13): q - q_min >= 0 [rad]."""
 
     q_min: Array
     watches = (JointAngles(),)
@@ -488,7 +494,7 @@ class JointMinimum(Constraint):
 
     @property
     def parameters(self) -> Array:
-        """The limits [rad]."""
+        """The limits, shape (n,) [rad]."""
         return self.q_min
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:

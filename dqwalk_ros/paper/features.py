@@ -162,7 +162,7 @@ class Point(Feature):
     function = _point
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return body and offset."""
+        """Return body, and the point in its frame (3,) [m]."""
         body, pose = tree.frames[self.frame]
         return body, point(pose, self.offset)
 
@@ -176,7 +176,7 @@ class Direction(Feature):
     function = _direction
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return body and direction."""
+        """Return body, and the direction in its frame (3,)."""
         body, pose = tree.frames[self.frame]
         return body, direction(pose, self.v)
 
@@ -189,7 +189,7 @@ class Rotation(Feature):
     function, size = _rotation, 4
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return body and pose."""
+        """Return body, and the pose of the frame on it (8,)."""
         return tree.frames[self.frame]
 
 
@@ -201,7 +201,7 @@ class Pose(Feature):
     function, size = _pose, 8
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
-        """Return body and pose."""
+        """Return body, and the pose of the frame on it (8,)."""
         return tree.frames[self.frame]
 
 
@@ -304,7 +304,7 @@ class Quantity(ABC):
 
     @property
     def parameters(self) -> Array:
-        """Numbers that `function` takes, in its order."""
+        """Numbers that `function` takes, in its order, one-dimensional."""
         return np.empty(0)
 
     @property
@@ -343,6 +343,6 @@ class Affine(Quantity):
 
     @cached_property
     def parameters(self) -> Array:
-        """Offset, its derivative by time, which is zero, and gradient."""
+        """Offset, its derivative by time, which is zero, and gradient, shape (2 k + k m,)."""
         A: Any = self.A
         return np.concatenate([np.broadcast_to(self.b, len(A)), np.zeros(len(A)), np.ravel(A)])

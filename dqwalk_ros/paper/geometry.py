@@ -44,7 +44,7 @@ class Plane:
 
     @classmethod
     def through(cls, p: ArrayLike, n: ArrayLike) -> Self:
-        """Return the plane through the point `p` with the normal `n`, which need not be of unit length."""
+        """Return the plane through the point `p` (3,) with the normal `n` (3,), which need not be of unit length."""
         normal = np.asarray(n, dtype=np.float64)
         normal = normal / np.linalg.norm(normal)
         return cls(normal, float(normal @ np.asarray(p)))
@@ -59,7 +59,7 @@ class Line:
 
     @classmethod
     def through(cls, p: ArrayLike, l: ArrayLike) -> Self:  # noqa: E741
-        """Return the line through the point `p` along `l`, which need not be of unit length."""
+        """Return the line through the point `p` (3,) along `l` (3,), which need not be of unit length."""
         direction = np.asarray(l, dtype=np.float64)
         direction = direction / np.linalg.norm(direction)
         return cls(direction, np.cross(np.asarray(p, dtype=np.float64), direction))

@@ -190,7 +190,7 @@ class Phase:
         return self.assembly(q, up, elapsed, dt, velocity)
 
     def distances(self, q: Array, up: Array = Z) -> dict[str, float]:
-        """Return each signed distance minus its bound, by name; see `Evaluation.distances`."""
+        """Return each signed distance minus its bound at `q` (n,), by name; see `Evaluation.distances`."""
         return self.evaluate(q, up).distances()
 
 

@@ -17,7 +17,7 @@ __all__ = ["ComOverFoot", "FramePose", "Posture", "Task", "converge"]
 
 @jit
 def converge(e: Array, eta: float, saturation: float) -> Array:
-    """Return the desired derivative of an error by time, -eta e of (U6); the norm of e is saturated."""
+    """Return the desired derivative of an error e (k,) by time, -eta e of (U6); the norm of e is saturated."""
     return -eta * min(1.0, saturation / max(math.sqrt(e @ e), 1e-12)) * e
 
 
@@ -61,7 +61,7 @@ class ComOverFoot(Affine, Task):
 
     @property
     def A(self) -> Array:
-        """Selects the horizontal offset of the CoM from the point."""
+        """Selects the horizontal offset of the CoM from the point, shape (2, 6)."""
         return _COM_LESS_FOOT
 
 
@@ -107,10 +107,10 @@ class Posture(Affine, Task):
 
     @cached_property
     def A(self) -> Array:
-        """The identity."""
+        """The identity, shape (n, n)."""
         return np.eye(len(self.q_ref))
 
     @property
     def b(self) -> Array:
-        """The posture [rad]."""
+        """The posture, shape (n,) [rad]."""
         return self.q_ref

@@ -137,11 +137,11 @@ class Walk(ABC):
 
     @abstractmethod
     def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
-        """Return a phase with both feet on the ground."""
+        """Return a phase with both feet on the ground, which begins at `q_start` (n,) [rad]."""
 
     @abstractmethod
     def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
-        """Return the single support on `support` that swings the other foot to its target."""
+        """Return the single support on `support` from `q_start` (n,) that swings the other foot to a pose (8,)."""
 
     def _phase(
         self,

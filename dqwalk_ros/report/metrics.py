@@ -185,12 +185,12 @@ class Series:
 
     @cached_property
     def tip_height(self) -> Array:
-        """Height of the other foot's tip above the base sole's ground [m], the distance of (U8)."""
+        """Height of the other foot's tip above the base sole's ground, the distance of (U8), shape (N,) [m]."""
         return self._of_end_foot(lambda sole: sole.tip)[:, 2]
 
     @cached_property
     def slide(self) -> Array:
-        """Distance of the end foot's tip from its position at the start of double support [m], as in (U7)."""
+        """Distance of the end foot's tip from its place at the start of double support, as in (U7), shape (N,) [m]."""
         tip = self._of_end_foot(lambda sole: sole.tip)[:, :2]
         out = np.full(len(self.time), np.nan)
         for span in self.spans:
@@ -202,7 +202,7 @@ class Series:
 
     @cached_property
     def com_to_axis(self) -> Array:
-        """Horizontal distance of the CoM from the centre of the support foot, in double support the next one [m]."""
+        """Horizontal distance of the CoM from the centre of the support foot, in double support the next, (N,) [m]."""
         center = self._of_end_foot(lambda sole: sole.center)[:, :2]
         for span in self.spans:
             if not span.double:
@@ -225,7 +225,7 @@ class Series:
 
     @cached_property
     def paper_margin(self) -> Array:
-        """Distance of the CoM to the boundary of the paper's support region, positive inside [m].
+        """Distance of the CoM to the boundary of the paper's support region, positive inside, shape (N,) [m].
 
         Double support: the smaller distance to the tip and the back plane (U9), (U10). Single support: the radius of
         the cylinder (U14) minus the distance from its axis. A standing walk has neither; the margin is then nan.
@@ -241,7 +241,7 @@ class Series:
 
     @cached_property
     def true_margin(self) -> Array:
-        """Signed distance [m] of the CoM's projection to the hull of the soles on the ground, positive inside."""
+        """Distance of the CoM's projection to the hull of the soles on the ground, positive inside, shape (N,) [m]."""
         return self.polygon_margin(self.com_on_ground)
 
     @cached_property

@@ -34,7 +34,7 @@ class JointLimits(NamedTuple):
 
 
 def outside_limits(q: Array, limits: JointLimits | RobotModel, slack: float) -> str:
-    """Return the joints beyond their limits by more than `slack` [rad], and by how much; ``""`` without any."""
+    """Return the joints of `q` (n,) beyond their limits by more than `slack` [rad], and by how much, or ``""``."""
     beyond = np.maximum(limits.q_min - q, q - limits.q_max)
     return named_angles(limits, beyond, ~(beyond <= slack))
 
@@ -63,7 +63,7 @@ def unreachable(
 
 
 def named_angles(limits: JointLimits | RobotModel, angles: Array, which: NDArray[np.bool_]) -> str:
-    """Return a list of some joints by name, each with an angle, such as ``l_knee_y by 1.5 rad``."""
+    """Return the joints `which` (n,) by name, each with its angle of `angles` (n,): ``l_knee_y by 1.5 rad, ...``."""
     return ", ".join(f"{limits.joint_names[i]} by {angles[i]:.3g} rad" for i in np.flatnonzero(which))
 
 

@@ -38,7 +38,7 @@ _MOST_POINTS = 10_000
 
 
 class Live:
-    """Part of a task whose `numbers` may all change with every state."""
+    """Part of a task whose `numbers`, a one-dimensional array, may all change with every state."""
 
     numbers: Array
 
@@ -177,7 +177,7 @@ class Hand:
     link : str
     trunk : str
         Link that carries the arm.
-    joints : ndarray of int
+    joints : ndarray of int, shape (k,)
         Which of the joints of `Arms` move the hand against the trunk.
     pose : DQ or None
         The pose it follows, in the trunk or, if `fixed`, in the base sole; None without a command.

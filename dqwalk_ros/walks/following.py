@@ -186,7 +186,7 @@ class Target:
         self._size, self.numbers = len(place), np.concatenate([place, velocity])
 
     def set(self, place: Array, velocity: Array) -> None:
-        """Set place and velocity."""
+        """Set place and velocity, of the shapes that they began with."""
         self.numbers[: self._size], self.numbers[self._size :] = place, velocity
 
 
@@ -215,7 +215,7 @@ class Follow(Affine, Task):
 
     @property
     def A(self) -> Array:
-        """Selects the coordinates that follow."""
+        """Selects the coordinates that follow, shape (k, m)."""
         return self.selects
 
     @property

@@ -217,7 +217,8 @@ def scale(numbers: Numbers) -> tuple[float, float]:
 def kkt(numbers: Numbers, u: Array, z: Array, s: float, curvature: float) -> tuple[float, float, float, float, int]:
     """Return stationarity, primal, dual, complementarity (see `Residuals`) and the row with the largest violation.
 
-    In the complementarity the slack is scaled like the violations, and limited to one gradient step.
+    `u` (n,) is the solution, and `z` (k + 2 n,) are the multipliers of the rows, the upper and the lower bounds. In the
+    complementarity the slack is scaled like the violations, and limited to one gradient step.
     """
     H, c, W, w, lower, upper, l = numbers  # noqa: E741
     k, n = w.shape[0], c.shape[0]

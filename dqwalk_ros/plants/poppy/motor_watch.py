@@ -30,7 +30,7 @@ _SWITCHED_OFF = 4 | 32
 
 @dataclass(frozen=True)
 class Part:
-    """A bus, and the indices of its servos among all motors."""
+    """A bus, and the indices `places` (k,) of its k servos among all motors."""
 
     bus: DynamixelBus
     places: NDArray[np.intp]

@@ -41,7 +41,7 @@ _ALL_BITS = float(np.frombuffer(b"\xff" * 8)[0])  # a nan of which every bit is 
 
 
 def stamps_of(time: Array) -> Stamps:
-    """Return the time stamps [ns] of times [s]."""
+    """Return the time stamps [ns] of times (N,) [s]."""
     return np.round(time * NS).astype(np.int64)
 
 
@@ -211,7 +211,7 @@ def pack(message: Any, stamps: Stamps, numbers: Array) -> list[bytes]:
 
 
 def pack_known(topic: tuple[str, str], frame: str, stamps: Stamps, numbers: Array) -> Messages:
-    """Return the messages of a topic (name, type) for the rows of `numbers` that are finite; see `pack`."""
+    """Return the messages of a topic (name, type) for the rows of `numbers` (N, k) that are finite."""
     (name, kind), known = topic, np.isfinite(numbers).all(axis=1)
     return name, stamps[known], pack(stamped(kind, frame), stamps[known], numbers[known])
 

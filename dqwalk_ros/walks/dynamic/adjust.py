@@ -66,7 +66,7 @@ class Step:
 
     @cached_property
     def constants(self) -> tuple[Array, ...]:
-        """Zero-moment point, planned end of xi, omega, low and high."""
+        """Zero-moment point, planned end of xi, omega, low and high, shape (2,) each."""
         return self.z, self.landing + self.offset, self.omega, self.low, self.high
 
 
