@@ -18,7 +18,7 @@ from launch.logging import get_logger
 from launch_ros.actions import Node
 
 from dqwalk_ros.cli.options import parse_overrides
-from dqwalk_ros.config import Config, find_config, find_share, load, overlaid, put_on, replaced
+from dqwalk_ros.config import Config, find_config, find_share, load, overlaid, replaced, with_files
 from dqwalk_ros.nodes.launching import description, values_of
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
@@ -59,7 +59,7 @@ def warn(config: Path, plant: str, params: list[Path], changes: dict[str, object
     """Log which values of the configuration the file of the plant replaces."""
     try:
         own = load(config)
-        used = put_on(overlaid(own, plant), params).updated(changes)
+        used = with_files(overlaid(own, plant), params).updated(changes)
     except ConfigError:
         return  # the nodes report it; a file with parameters of other packages they accept
     if warning := replaced(own, plant, used, "params:=FILE or set:='KEY=VALUE', which are applied after it"):
@@ -138,7 +138,7 @@ def nodes(context: LaunchContext) -> list[object]:
     if rviz:
         from dqwalk_ros.robot.model import load_model
 
-        described = {"robot_description": load_model(put_on(load(config), files[1:]).updated(changes).robot).urdf}
+        described = {"robot_description": load_model(with_files(load(config), files[1:]).updated(changes).robot).urdf}
         shown = ["-d", str(find_share("config", "walk.rviz"))]
         node("robot_state_publisher", "robot_state_publisher", parameters=[described])
         node("rviz2", "rviz2", parameters=[], arguments=shown)

@@ -268,7 +268,7 @@ def config_of(
     ConfigError
         If any of them is invalid.
     """
-    from dqwalk_ros.config import load, overlaid, put_on, replaced
+    from dqwalk_ros.config import load, overlaid, replaced, with_files
     from dqwalk_ros.walks.table import walk_type
 
     values: dict[str, Any] = {"gait.steps": 0} if course else {}
@@ -279,7 +279,7 @@ def config_of(
     file = used.parameters if used else ""
     if used and used.type:
         values["plant.name"] = plant
-    made = put_on(overlaid(own, file) if file else own, params).updated(values, source="command line")
+    made = with_files(overlaid(own, file) if file else own, params).updated(values, source="command line")
     if file and (warning := replaced(own, file, made, "--params FILE or --set KEY=VALUE, which are applied last")):
         print(f"dqwalk: {warning}", file=sys.stderr)
     if course and walk_type(made).phases(made):

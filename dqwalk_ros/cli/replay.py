@@ -30,7 +30,7 @@ def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
     import numpy as np
 
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.config import put_on
+    from dqwalk_ros.config import with_files
     from dqwalk_ros.identification.replay import replay as run
     from dqwalk_ros.report.bag import read
     from dqwalk_ros.support.text_table import aligned
@@ -38,7 +38,7 @@ def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
     trace = read(bag)
     beside = bag.resolve().parent / "identified.yaml"
     files = params or ((beside,) if beside.is_file() else ())
-    config = put_on(trace.config, files)
+    config = with_files(trace.config, files)
     with Progress(quiet=quiet) as bar:
         q = run(trace, config, bar)
     rms = np.degrees(np.sqrt(np.mean((q - trace.q) ** 2, axis=0)))

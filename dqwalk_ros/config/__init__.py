@@ -15,18 +15,18 @@ from __future__ import annotations
 from dqwalk_ros.config.files import (
     OF_RCLPY,
     SHIPPED,
-    beside,
+    applies_from,
     find_config,
     find_share,
     from_yaml,
     is_foreign,
     load,
     overlaid,
-    put_on,
     replaced,
+    resolved,
     sections_of,
-    since,
     to_yaml,
+    with_files,
 )
 from dqwalk_ros.config.schema import Spec, Value
 from dqwalk_ros.config.sections import (
@@ -43,6 +43,6 @@ from dqwalk_ros.config.sections import (
 
 __all__ = [
     "OF_RCLPY", "SHIPPED", "Config", "DynamicConfig", "GaitConfig", "MonitorConfig", "PhysicsConfig", "PoppyConfig",
-    "RobotConfig", "SensorsConfig", "Spec", "Value", "WholeBodyConfig", "beside", "find_config", "find_share",
-    "from_yaml", "is_foreign", "load", "overlaid", "put_on", "replaced", "sections_of", "since", "to_yaml",
+    "RobotConfig", "SensorsConfig", "Spec", "Value", "WholeBodyConfig", "applies_from", "find_config", "find_share",
+    "from_yaml", "is_foreign", "load", "overlaid", "replaced", "resolved", "sections_of", "to_yaml", "with_files",
 ]  # fmt: skip

@@ -21,8 +21,8 @@ from dqwalk_ros.support.errors import ConfigError, listed
 from dqwalk_ros.support.node_table import NODES
 
 __all__ = [
-    "OF_RCLPY", "SHIPPED", "Section", "beside", "find_config", "find_share", "from_yaml", "is_foreign", "load",
-    "overlaid", "put_on", "replaced", "sections_of", "since", "to_yaml",
+    "OF_RCLPY", "SHIPPED", "Section", "applies_from", "find_config", "find_share", "from_yaml", "is_foreign", "load",
+    "overlaid", "replaced", "resolved", "sections_of", "to_yaml", "with_files",
 ]  # fmt: skip
 
 OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
@@ -79,11 +79,11 @@ def load(source: str | os.PathLike[str]) -> Config:
         If the file is missing, is not YAML, or has an unknown key or a value out of bounds.
     """
     path = find_config(source)
-    return beside(path, from_yaml(strict_yaml.read_text(path), source=str(path)))
+    return resolved(path, from_yaml(strict_yaml.read_text(path), source=str(path)))
 
 
-def beside(path: pathlib.Path, config: Config) -> Config:
-    """Return `config` with absolute paths of the files that it names relative to its own file `path`."""
+def resolved(path: pathlib.Path, config: Config) -> Config:
+    """Return `config`, read from the file `path`, with absolute paths of the files that it names relative to it."""
     named = {"robot.urdf": config.robot.urdf, "gait.recover": config.gait.recover}
     found = {name: path.parent / file for name, file in named.items() if file and (path.parent / file).is_file()}
     return config.updated({name: str(file.resolve()) for name, file in found.items()}) if found else config
@@ -192,7 +192,7 @@ def is_foreign(name: str) -> bool:
     )
 
 
-def put_on(config: Config, files: Iterable[pathlib.Path]) -> Config:
+def with_files(config: Config, files: Iterable[pathlib.Path]) -> Config:
     """Return a configuration with the parameters of files applied, one after the other.
 
     A name without folder and suffix is that of a file in ``config/overlays/``, unless there is a file of this name.
@@ -214,7 +214,7 @@ def put_on(config: Config, files: Iterable[pathlib.Path]) -> Config:
 
 def overlaid(config: Config, plant: str) -> Config:
     """Return a configuration with the parameters of ``config/plants/NAME.yaml`` applied."""
-    return put_on(config, [find_share("config/plants", f"{plant}.yaml")])
+    return with_files(config, [find_share("config/plants", f"{plant}.yaml")])
 
 
 def replaced(own: Config, plant: str, used: Config, how: str) -> str:
@@ -264,7 +264,7 @@ def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, A
 _SINCE = "# in force from the state with the stamp {} ns"
 
 
-def since(text: str) -> int | None:
+def applies_from(text: str) -> int | None:
     """Return the stamp [ns] of the state from which a configuration written by `to_yaml` applies; None: from the start.
 
     A configuration that was changed during a walk contains this stamp as a comment.
@@ -277,7 +277,7 @@ def to_yaml(config: Config, since: int | None = None) -> str:
     """Return the configuration as the text of a ROS parameter file; `from_yaml` reads it back exactly.
 
     An empty list has no type in a ROS parameter file and is written as a list with one empty text. `since` is the stamp
-    [ns] of the first state that the configuration applies to, if it was changed during the walk; see `since`.
+    [ns] of the first state that the configuration applies to, if it was changed during the walk; see `applies_from`.
     """
     tree: dict[str, Any] = {}
     for name, value in config.flat().items():

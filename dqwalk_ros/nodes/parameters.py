@@ -16,7 +16,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from dqwalk_ros.config import OF_RCLPY, Config, Spec, beside, is_foreign, sections_of
+from dqwalk_ros.config import OF_RCLPY, Config, Spec, is_foreign, resolved, sections_of
 from dqwalk_ros.nodes.command_line import defaults_of
 from dqwalk_ros.support import strict_yaml
 
@@ -53,7 +53,7 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
         log.info(f"ignoring parameters of other packages: {', '.join(foreign)}")
     config = defaults_of(argv[0]).updated({name: value for name, value in given.items() if name not in foreign})
     for path in files:
-        config = beside(path, config)
+        config = resolved(path, config)
     for name, value in config.flat().items():
         shown: Any = (list(value) or [""]) if isinstance(value, tuple) else value
         node.declare_parameter(name, shown, _DESCRIPTORS[name], ignore_override=True)

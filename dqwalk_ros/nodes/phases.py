@@ -12,7 +12,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
-from dqwalk_ros.config import Config, from_yaml, since, to_yaml
+from dqwalk_ros.config import Config, applies_from, from_yaml, to_yaml
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
@@ -145,7 +145,7 @@ class PhaseLog:
         except DqwalkError as error:
             self._logger.error(str(error))
             return
-        if (stamp := since(msg.data)) is not None:  # changed during the walk
+        if (stamp := applies_from(msg.data)) is not None:  # changed during the walk
             _store(self._tuned, stamp, config)
             for began in [began for began in self._assessors if began >= stamp]:
                 del self._assessors[began]

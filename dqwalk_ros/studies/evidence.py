@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from dqwalk_ros import report
-from dqwalk_ros.config import Config, find_share, load, overlaid, put_on
+from dqwalk_ros.config import Config, find_share, load, overlaid, with_files
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -90,7 +90,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             If a parameter or a leg of the course is invalid.
         """
         Course.parse(self.cmd_vel)
-        made = put_on(overlaid(load(self.config), self.plant), map(Path, self.params))
+        made = with_files(overlaid(load(self.config), self.plant), map(Path, self.params))
         made = made.updated(({"gait.steps": 0} if self.cmd_vel else {}) | self.set, source=self.name)
         if self.cmd_vel and walk_type(made).phases(made):
             raise ConfigError(f"{self.name}: cmd_vel steers a standing or dynamic walk with gait.steps: 0")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from dqwalk_ros.config import SHIPPED, Config, find_share, from_yaml, load, put_on, to_yaml
+from dqwalk_ros.config import SHIPPED, Config, find_share, from_yaml, load, to_yaml, with_files
 from dqwalk_ros.support.errors import ConfigError
 
 
@@ -216,8 +216,8 @@ def test_every_shipped_configuration_is_solved_without_optional_packages(name: s
 
 def test_a_ground_is_given_by_its_name() -> None:
     walk = load("poppy_dynamic")
-    rough = put_on(walk, [Path("rough")])
+    rough = with_files(walk, [Path("rough")])
     assert rough.servo.window < walk.servo.window
     assert rough.standing.swing_duration < walk.standing.swing_duration
     with pytest.raises(ConfigError, match="config/overlays/"):
-        put_on(walk, [Path("swamp")])
+        with_files(walk, [Path("swamp")])

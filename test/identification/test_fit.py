@@ -11,7 +11,7 @@ import pytest
 import dqwalk_ros as dq
 from dqwalk_ros import cli
 from dqwalk_ros.cli.identify import table
-from dqwalk_ros.config import Config, from_yaml, overlaid, put_on
+from dqwalk_ros.config import Config, from_yaml, overlaid, with_files
 from dqwalk_ros.identification import fit
 from dqwalk_ros.identification.exercise import exercise_config, limbs, path_of
 from dqwalk_ros.identification.replay import replay
@@ -193,7 +193,7 @@ def test_exercise_identify_and_replay_on_the_command_line(tmp_path, capsys) -> N
     params = tmp_path / "identified.yaml"
     assert "l_knee_y=stiffness" in params.read_text()
     assert "mass: 2.9000" in params.read_text()
-    assert dq.load_model(put_on(dq.load("poppy"), [params]).robot).mass == pytest.approx(2.9)
+    assert dq.load_model(with_files(dq.load("poppy"), [params]).robot).mass == pytest.approx(2.9)
     assert cli.main(["replay", str(tmp_path / "bag")]) == 0
     assert str(params) in capsys.readouterr().out
     assert cli.main(["simulate", "--config", "poppy", "--params", str(tmp_path / "none.yaml")]) == 2

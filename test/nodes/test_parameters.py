@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from dqwalk_ros.config import Config, from_yaml, load, since, to_yaml
+from dqwalk_ros.config import Config, applies_from, from_yaml, load, to_yaml
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
@@ -30,8 +30,8 @@ def test_structural_parameters_are_not_live() -> None:
 
 def test_a_configuration_stores_the_time_from_which_it_applies() -> None:
     text = to_yaml(HIGHER, 12_000_000_345)
-    assert since(text) == 12_000_000_345
-    assert since(to_yaml(CONFIG)) is None
+    assert applies_from(text) == 12_000_000_345
+    assert applies_from(to_yaml(CONFIG)) is None
     assert from_yaml(text) == HIGHER
 
 
@@ -88,8 +88,8 @@ def test_param_set_is_logged_published_and_used_from_the_next_phase(make: Any) -
     assert "gait.step_height: 0.02 -> 0.03" in one.log
     first, tuned = (msg.data for msg in one.got["walk_config"])
     start = one.got["phase_start"][-1]
-    assert since(first) is None
-    assert since(tuned) == ros.nanoseconds(start.header.stamp)
+    assert applies_from(first) is None
+    assert applies_from(tuned) == ros.nanoseconds(start.header.stamp)
     assert from_yaml(tuned).gait.step_height == 0.03
     for topic in ("walk_config", "robot_description", "phase_start", "com_target", "swing_target"):
         for msg in one.got[topic]:

@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from dqwalk_ros.cli import dqwalk
-from dqwalk_ros.config import Config, load, put_on
+from dqwalk_ros.config import Config, load, with_files
 from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of, sections_of
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS
@@ -154,7 +154,7 @@ def test_the_lines_that_replace_the_plant_start_nodes_of_one_period():
     lines = [line.split() for line in re.findall(r"^ros2 run dqwalk_ros .*$", text, re.M)]
     assert [words[3] for words in lines] == ["controller", "phase_monitor", "integrator", "poppy_driver"]
     files = [[ROOT / b for a, b in pairwise(words) if a == "--params-file"] for words in lines]
-    controller, *others = [put_on(Config(), each) for each in files]
+    controller, *others = [with_files(Config(), each) for each in files]
     assert all(config == controller for config in others)
     assert controller.dt >= 0.99 / controller.poppy.rate
     assert not controller.node.autostart

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import walks
 
-from dqwalk_ros.config import Config, load, put_on
+from dqwalk_ros.config import Config, load, with_files
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -22,7 +22,7 @@ from dqwalk_ros.walks.arms import Arms, JointPath
 from dqwalk_ros.walks.table import make_controller, make_walk
 
 QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "node.robot_description": False}
-CONFIG = put_on(load("poppy"), [Path("arms")]).updated({"gait.steps": 0, "gait.recover": "", **QUICK})
+CONFIG = with_files(load("poppy"), [Path("arms")]).updated({"gait.steps": 0, "gait.recover": "", **QUICK})
 MODEL = load_model(CONFIG.robot)
 ELBOW = MODEL.joint_names.index("l_elbow_y")
 IN_FRONT = DQ.from_pose([0.15, 0.1, -0.05])

@@ -13,7 +13,7 @@ import pytest
 from walks import values
 
 import dqwalk_ros as dq
-from dqwalk_ros.config import find_share, overlaid, put_on
+from dqwalk_ros.config import find_share, overlaid, with_files
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Observer
 from dqwalk_ros.paper.foot import Foot
@@ -709,7 +709,7 @@ ON_RUBBLE = CONFIG.updated(
 @pytest.mark.long
 @pytest.mark.parametrize(("overlays", "up"), [(["stairs"], 0.075), (["stairs", "stairs_down"], -0.075)])
 def test_three_stairs_are_walked_by_footsteps(overlays: list[str], up: float) -> None:
-    config = put_on(overlaid(CONFIG, "physics"), [Path(name) for name in overlays]).updated({"qp.solver": "daqp"})
+    config = with_files(overlaid(CONFIG, "physics"), [Path(name) for name in overlays]).updated({"qp.solver": "daqp"})
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
     trace = simulate(controller, plant)
     found = report(analyse(trace))

@@ -121,9 +121,9 @@ def open_recording(
 
 def _configurations(found: Sequence[str], source: str) -> tuple[Config, dict[int, Config]]:
     """Return the configuration at the start of the last run, and the later ones by stamp [ns]."""
-    began = max((k for k, one in enumerate(found) if configuration.since(one) is None), default=0)
+    began = max((k for k, one in enumerate(found) if configuration.applies_from(one) is None), default=0)
     first, *later = (configuration.from_yaml(one, source=source) for one in found[began:])
-    stamps = (configuration.since(one) for one in found[began + 1 :])
+    stamps = (configuration.applies_from(one) for one in found[began + 1 :])
     return first, {stamp: one for stamp, one in zip(stamps, later, strict=True) if stamp is not None}
 
 
