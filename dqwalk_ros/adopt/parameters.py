@@ -266,7 +266,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
         ),
         Entry("gait.most_turn", 0.1 if yaw else 0.0, "the feet can turn" if yaw else "the feet cannot turn"),
         Entry("gait.phase_timeout", rounded(4.0 * max(n.transfer, swing) + 4.0), "four times a phase"),
-        Entry("gait.recover", "dynamic.yaml", "whose steps catch pushes that one sole cannot bear"),
+        Entry("gait.recover", "dynamic.yaml", "whose steps catch pushes that one sole cannot balance"),
         Entry("task.eta", 2.0, "as for every robot", "default"),
         Entry("task.damping", 0.03, "as for every robot", "default"),
         Entry(

@@ -68,8 +68,8 @@ class GaitConfig:
     walk: str = parameter("", "class of your own walk, as MODULE:CLASS, in place of gait.style (docs/tutorial.md)")
     recover: str = parameter(
         "",
-        "standing: dynamic walk whose steps catch what the soles cannot bear, a name such as poppy_dynamic, or a file "
-        "relative to that of the configuration; empty: none",
+        "standing: dynamic walk whose steps catch pushes that one sole cannot balance, such as poppy_dynamic, or a "
+        "file relative to that of the configuration; empty: none",
     )
     first_support: Literal["left", "right"] = parameter("left", "foot of the first single support")
     cycles: int = parameter(1, "paper: number of walking cycles of four phases each (Fig. 1)", "", 1, 100000)
@@ -161,7 +161,12 @@ class StandingConfig:
     com_threshold: float = parameter(0.003, "CoM error that ends the phase; larger: earlier", "m", 1e-5, 0.1, live=True)
     swing_threshold: float = parameter(0.002, "error that ends a swing; larger: earlier", "m", 1e-5, 0.1, live=True)
     aim_inside: float = parameter(
-        0.0, "offset of the CoM on one foot towards the other; larger: bears more outwards", "m", 0.0, 0.05, live=True
+        0.0,
+        "offset of the CoM on one foot towards the other; larger: balances more outward push",
+        "m",
+        0.0,
+        0.05,
+        live=True,
     )
     saturation: float = parameter(0.03, "limit of the CoM error; larger: faster correction", "m", 1e-4, 1.0, live=True)
     com_weight: float = parameter(0.3, "weight of the CoM in single support; larger: closer", "", 0.0, 1e3, live=True)

@@ -1,4 +1,4 @@
-"""The standing walk catches by steps of the dynamic walk what its soles cannot bear."""
+"""The standing walk catches by steps of the dynamic walk the pushes that one sole cannot balance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Standing walk from which steps of the dynamic walk take over for what the sole of a single support cannot support.
+"""Standing walk whose pushes beyond what one sole balances are caught by steps of the dynamic walk.
 
 While the divergent component of motion xi is within the sole on the ground, a zero-moment point within the sole brings
 it back. Beyond the sole it diverges, unless the swing foot lands where it can be caught: towards that foot, ahead or
