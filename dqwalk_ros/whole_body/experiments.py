@@ -17,7 +17,7 @@ from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState, WholeBodyController
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant, RigidPlant
 from dqwalk_ros.whole_body.scenario import Scenario
-from dqwalk_ros.whole_body.trace import BodyLog, Collector, Reaction, WholeBodyTrace
+from dqwalk_ros.whole_body.trace import BodyLog, BodyRecorder, Reaction, WholeBodyTrace
 
 __all__ = ["PLANTS", "follow", "make_body_plant", "retrace", "walk"]
 
@@ -58,7 +58,7 @@ def follow(
     DqwalkError
         If the walk ends before the first control period.
     """
-    dt, begin, rows, note = controller.config.dt, plant.state.time, Collector(controller, scenario), ""
+    dt, begin, rows, note = controller.config.dt, plant.state.time, BodyRecorder(controller, scenario), ""
     targets, pushes = sorted(scenario.targets), sorted(scenario.pushes)
     replaced: list[Array | None] = []  # targets that were replaced in this period
 

@@ -19,7 +19,7 @@ from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 from dqwalk_ros.whole_body.scenario import Scenario
 
-__all__ = ["BodyLog", "Collector", "Reaction", "WholeBodyTrace"]
+__all__ = ["BodyLog", "BodyRecorder", "Reaction", "WholeBodyTrace"]
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class WholeBodyTrace(BodyLog):
         return [(float(self.time[i]), self.support[i]) for i in moved]
 
 
-class Collector:
+class BodyRecorder:
     """Collects a `WholeBodyTrace`, one control period after the other."""
 
     def __init__(self, controller: WholeBodyController, scenario: Scenario) -> None:
