@@ -42,6 +42,14 @@ def test_link_targets_exist(page):
             assert file.resolve().parent != ROOT / "docs/nodes", f"{page.name} links to {target}, a page of the website"
 
 
+@pytest.mark.parametrize("page", [p for p in PAGES if p.exists()], ids=lambda p: str(p.relative_to(ROOT)))
+def test_named_modules_exist(page):
+    """Those named with their folder, as in ``walks/dynamic/plan.py``."""
+    for name in re.findall(r"`((?:\w+/)+\w+\.py)\b", page.read_text()):
+        folders = (ROOT, ROOT / "dqwalk_ros", ROOT / "dqwalk_ros/paper", ROOT / "test")
+        assert any((folder / name).is_file() for folder in folders), name
+
+
 @pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
 def test_documented_commands_are_valid(page):
     count = 0
