@@ -105,6 +105,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "dqwalk"
         return _fail(f"{error.format_message().rstrip('.')}; `{path} --help` shows how", USAGE)
+    except click.Abort:  # a question without an answer
+        return _fail("interrupted", FAILED)
     except (ConfigError, ModelError) as error:
         return _fail(error, USAGE)
     except DqwalkError as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from dqwalk_ros.cli.options import command, config_of, config_option, params_option, plant_option, set_option
+from dqwalk_ros.cli.options import Real, command, config_of, config_option, params_option, plant_option, set_option
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
@@ -32,9 +32,7 @@ examples:
 @config_option("poppy")
 @params_option
 @plant_option(list(PLANTS), "poppy")
-@click.option(
-    "--seconds", metavar="S", type=click.FloatRange(0.5, 600.0), default=5.0, help="Time to listen, 5 s at least."
-)
+@click.option("--seconds", metavar="S", type=Real(0.5, 600.0), default=5.0, help="Time to listen, 5 s at least.")
 @click.option("--namespace", metavar="NAME", default="", show_default=False, callback=_namespace,
               help="Namespace of the robot.")  # fmt: skip
 @click.option("--offline", is_flag=True, help="Do not listen to the robot.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import bag_argument, command, force_option, quiet_option
+from dqwalk_ros.cli.options import Real, bag_argument, command, force_option, quiet_option
 from dqwalk_ros.support.output import refuse_existing, write_text
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ then:
 @click.option(
     "--mass",
     metavar="KG",
-    type=click.FloatRange(0.01),
+    type=Real(0.01, 1e3),
     help="Mass of the robot, as weighed.  [default: that in the bag]",
 )
 @click.option(

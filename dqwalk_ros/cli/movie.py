@@ -9,6 +9,7 @@ import click
 
 from dqwalk_ros.cli.options import (
     Numbers,
+    Real,
     bag_argument,
     command,
     force_option,
@@ -37,9 +38,9 @@ examples:
     default="walk.gif",
     help=".gif, .webp, or .png for a strip.",
 )
-@click.option("--speed", type=click.FloatRange(0.0, min_open=True), default=2.0, help="Relative to real time.")
-@click.option("--rate", type=click.FloatRange(0.0, min_open=True), default=12.5, help="Pictures per second.")
-@click.option("--strip", metavar="N", type=click.IntRange(1), default=8, help="Pictures of a strip.")
+@click.option("--speed", type=Real(0.01, 1e3), default=2.0, help="Relative to real time.")
+@click.option("--rate", type=Real(0.01, 100.0), default=12.5, help="Pictures per second.")
+@click.option("--strip", metavar="N", type=click.IntRange(1, 100), default=8, help="Pictures of a strip.")
 @click.option("--between", metavar="A,B", type=Numbers(2), help="First and last time of a strip [s]; default: all.")
 @force_option
 @quiet_option
@@ -68,6 +69,7 @@ def movie(
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported
     from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.cli.results import create
     from dqwalk_ros.report import bag as bags
 
     try:
@@ -81,6 +83,7 @@ def movie(
         ) from error
     if not force:
         refuse_existing([out])
+    create(out.parent)
     trace = bags.read(bag, namespace=namespace, walk=walk)
     with Progress(quiet=quiet) as bar:
         if out.suffix.lower() == ".png":

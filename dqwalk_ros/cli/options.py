@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
 __all__ = [
-    "Many", "Numbers", "Output", "Report", "bag_argument", "command", "config_of", "config_option", "folder_option",
-    "force_option", "format_option", "jobs_option", "many_options", "namespace_option", "output_options",
+    "Many", "Numbers", "Output", "Real", "Report", "bag_argument", "command", "config_of", "config_option",
+    "folder_option", "force_option", "format_option", "jobs_option", "many_options", "namespace_option",
+    "output_options",
     "params_option", "parse_overrides", "plant_option", "port_option", "quiet_option", "set_option", "walk_option",
     "walk_options",
 ]  # fmt: skip
@@ -40,6 +41,17 @@ def command(epilog: str) -> Callable[[Function], click.Command]:
 def _with(options: Sequence[Option], function: Function) -> Function:
     """Return a function with options added, in the order in which help shows them."""
     return functools.reduce(lambda made, option: option(made), reversed(options), function)
+
+
+class Real(click.FloatRange):
+    """Type of an option whose value is a number in a range; click's own accepts what is not a number."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        found: float = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"expected a number, not {value!r}", param, ctx)
+        return found
 
 
 class Numbers(click.ParamType):  # type: ignore[type-arg]

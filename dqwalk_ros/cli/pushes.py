@@ -11,6 +11,7 @@ import click
 
 from dqwalk_ros.cli.options import (
     Many,
+    Real,
     command,
     config_of,
     config_option,
@@ -54,24 +55,22 @@ examples:
     default="all",
     help="Standing, or in the middle of a step on this foot.",
 )
-@click.option(
-    "--part", type=click.FloatRange(0.0, 0.95), default=0.5, help="Fraction of a step after which the push begins."
-)
+@click.option("--part", type=Real(0.0, 0.95), default=0.5, help="Fraction of a step after which the push begins.")
 @click.option("--directions", metavar="N", type=click.IntRange(1, 360), default=8, help="Evenly spread.")
 @click.option(
-    "--duration", metavar="S", type=click.FloatRange(0.0, min_open=True), default=0.1, help="Duration of each push [s]."
+    "--duration", metavar="S", type=Real(0.0, 10.0, min_open=True), default=0.1, help="Duration of each push [s]."
 )
 @click.option(
     "--tolerance",
     metavar="NS",
-    type=click.FloatRange(0.0, min_open=True),
+    type=Real(0.0, 1e3, min_open=True),
     show_default="0.36 % of M sqrt(g h)",
     help="Accuracy of each impulse [N s].",
 )
 @click.option(
     "--bottle",
     metavar="KG",
-    type=click.FloatRange(0.5, 20.0),
+    type=Real(0.5, 20.0),
     help="Push recovery of the RoboCup Humanoid League (rules of 2025): while the robot walks on the spot, a bottle on "
     "a rope of 1.75 m hits its pelvis, from behind and from the front. Has its own directions and no --duration.",
 )

@@ -12,6 +12,7 @@ import click
 from dqwalk_ros.cli.options import (
     Many,
     Numbers,
+    Real,
     Report,
     command,
     config_of,
@@ -48,8 +49,8 @@ examples:
 @config_option("whole_body")
 @click.option("--test", type=click.Choice(["1", "2", "both"]), default="both", help="Test of the paper.")
 @click.option("--pushes", is_flag=True, help="Find the largest push survived, in eight directions.")
-@click.option("--when", metavar="S", type=float, default=2.5, help="--pushes: time of the push.")
-@click.option("--exact", metavar="R", type=float, default=1.0, help="--pushes: accuracy [N s].")
+@click.option("--when", metavar="S", type=Real(0.0, 600.0), default=2.5, help="--pushes: time of the push.")
+@click.option("--exact", metavar="R", type=Real(0.0, 1e3, min_open=True), default=1.0, help="--pushes: accuracy [N s].")
 @jobs_option
 @click.option(
     "--plant",
@@ -60,7 +61,9 @@ examples:
 @click.option("--paper-times", is_flag=True, help="The target jumps at 4 and 8 s (paper), not as in the thesis.")
 @click.option("--target", metavar="X,Y,Z", type=Numbers(3), help="One target of the hand instead of the test's [m].")
 @click.option("--push", metavar="T,X,Y,Z", type=Numbers(4), multiple=True, help="Another push [s, N s].")
-@click.option("--duration", metavar="S", type=float, help="Duration instead of the test's 14 s.")
+@click.option(
+    "--duration", metavar="S", type=Real(0.0, 600.0, min_open=True), help="Duration instead of the test's 14 s."
+)
 @set_option
 @output_options("reach")
 def reach(

@@ -48,7 +48,9 @@ examples:
 @plant_option(PHYSICS, "physics")
 @click.option("--steps", metavar="N", type=int, default=10, help="Steps of each walk.")
 @click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary a parameter over these values.")
-@click.option("--sample", metavar="N", type=int, default=0, show_default="all", help="Walk N random combinations.")
+@click.option(
+    "--sample", metavar="N", type=click.IntRange(0), default=0, show_default="all", help="Walk N random combinations."
+)
 @click.option("--seed", type=int, default=0, help="Seed of --sample.")
 @many_options("robustness")
 @params_option
@@ -82,8 +84,9 @@ def robustness(
         except ValueError:
             raise ConfigError(f"--axis needs KEY=NUMBER,NUMBER..., not {text!r}") from None
     for name, numbers in axes.items():  # invalid values are rejected before the first walk
-        for number in numbers if name != study.LATENCY_ERROR else ():
-            made.updated({name: number}, source="--axis")
+        for number in numbers:
+            varied = study.assumed(made, number) if name == study.LATENCY_ERROR else {name: number}
+            made.updated(varied, source="--axis")
     prepare_study(many, "cells.jsonl", "robustness.csv", "robustness.txt", "robustness.png")
     combinations = study.cells(axes, sample, seed)
     with many.options("cells", lambda last: f"; the last one {'stood' if last.stood else 'did not stand'}") as options:
@@ -100,6 +103,8 @@ def robustness(
 def _number(text: str) -> float:
     """Return a number, as an integer if it is one, because a seed must be an integer."""
     value = float(text)
+    if not math.isfinite(value):
+        raise ValueError
     return int(value) if value.is_integer() else value
 
 

@@ -24,7 +24,7 @@ from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.scene import BodyShape, shapes_of
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.support.errors import ConfigError, PlantError
 from dqwalk_ros.support.output import written
 from dqwalk_ros.trace import Trace
 
@@ -34,6 +34,8 @@ Progress = Callable[[float, str], None]
 """Called with the fraction done and a line of text."""
 _MOVIE, _STRIP = (360, 400), (240, 400)
 """Width and height of the pictures of a movie and of a strip [pixels]."""
+_MOST = 3000
+"""Most pictures of a movie; they are in memory together."""
 _AZIMUTH, _ELEVATION = 130.0, -12.0
 """Direction of view [degrees]."""
 _DISTANCE = 1.4
@@ -80,7 +82,15 @@ def save_movie(
     """Write the walk as an animated picture, a .gif or a .webp; see `written` for errors.
 
     The speed is relative to real time, the rate in pictures per second.
+
+    Raises
+    ------
+    ConfigError
+        If the movie has too many pictures.
     """
+    count = 1 + int((trace.time[-1] - trace.time[0]) * rate / speed)
+    if count > _MOST:
+        raise ConfigError(f"a movie of {count} pictures is too long; {_MOST} at most: raise --speed, or lower --rate")
     times = np.arange(trace.time[0], trace.time[-1] + 1e-9, speed / rate)
     made = list(frames(trace, times, *_MOVIE, progress))
     options: dict[str, Any] = {"quality": 70, "method": 4}
@@ -103,7 +113,10 @@ def save_strip(
     overwrite: bool = False,
 ) -> None:
     """Write some pictures of the walk side by side, evenly spread over it or `between` two times [s]; see `written`."""
-    first, last = between or (float(trace.time[0]), float(trace.time[-1]))
+    begin, end = float(trace.time[0]), float(trace.time[-1])
+    first, last = between or (begin, end)
+    if first > end or last < begin:
+        raise ConfigError(f"the walk lasts from {begin:g} to {end:g} s, not from {first:g} to {last:g} s")
     gap = np.full((_STRIP[1], 4, 3), 255, dtype=np.uint8)
     made = frames(trace, np.linspace(first, last, count), *_STRIP, progress)
     row = [part for one in made for part in (np.asarray(one), gap)][:-1]

@@ -41,6 +41,8 @@ def largest(fails: Callable[[float], str], first: float, most: float, tolerance:
             survived = tried
     while failed is not None and failed - survived > tolerance:
         tried = 0.5 * (survived + failed)
+        if not survived < tried < failed:  # no number is between them
+            break
         if why := fails(tried):
             failed, reason = tried, why
         else:

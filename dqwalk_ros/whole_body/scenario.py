@@ -17,6 +17,10 @@ Timed = tuple[float, tuple[float, float, float]]
 """A time [s], and a position [m] or an impulse [N s]."""
 
 
+_LARGEST = 1e6
+"""Largest number of a target or a push [m, N s, s]."""
+
+
 @dataclass(frozen=True)
 class Scenario:
     """A sequence of targets of the hand and of pushes.
@@ -37,7 +41,7 @@ class Scenario:
     Raises
     ------
     ConfigError
-        If a target or a push is not three finite numbers, or its time is negative.
+        If a target or a push is not three numbers, one is larger than a million, or its time is negative.
     """
 
     name: str
@@ -50,7 +54,7 @@ class Scenario:
     def __post_init__(self) -> None:
         """Check times and numbers."""
         for when, what in (*self.targets, *self.pushes):
-            if len(what) != 3 or not np.isfinite((when, *what)).all() or not when >= 0.0:
+            if len(what) != 3 or not np.abs((when, *what)).max() <= _LARGEST or when < 0.0:
                 raise ConfigError(f"'{self.name}': {what} at {when} s is not a place or an impulse at a time from 0 on")
 
 

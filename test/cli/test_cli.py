@@ -14,6 +14,7 @@ import sys
 import termios
 from pathlib import Path
 
+import click
 import pytest
 from recorded import SHORT, short_walk
 
@@ -63,6 +64,9 @@ def test_help_contains_examples(command, capsys):
         (["simulate", "--format", "gif"], "png, pdf or svg"),
         (["movie", "bag", "--between", "1,2,3"], "2 numbers"),
         (["movie", "bag", "--between", "5,2"], "in their order"),
+        (["reach", "--duration", "-1"], "-1.0 is not in the range"),
+        (["robustness", "--axis", "latency_error=nan"], "KEY=NUMBER"),
+        (["robustness", "--axis", "latency_error=1e300"], "servo.assumed_latency"),
     ],
 )
 def test_wrong_arguments_give_one_line_and_exit_code_2(arguments, expected, capsys):
@@ -70,6 +74,25 @@ def test_wrong_arguments_give_one_line_and_exit_code_2(arguments, expected, caps
     output = capsys.readouterr().err
     assert is_one_line(output), output
     assert expected in output
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_no_option_takes_what_is_not_a_finite_number(command, capsys):
+    with click.Context(cli.dqwalk) as context:
+        options = cli.dqwalk.get_command(context, command).params
+    for option in (one for one in options if isinstance(one.type, click.types.FloatParamType)):
+        for text in ("nan", "inf", "-inf"):
+            assert cli.main([command, "bag", f"{option.opts[0]}={text}"]) == 2
+            output = capsys.readouterr().err
+            assert is_one_line(output), output
+            assert f"Invalid value for '{option.opts[0]}'" in output
+
+
+def test_a_question_that_nobody_answers_ends_without_traceback(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    monkeypatch.setattr(cli.dqwalk, "invoke", lambda _: click.confirm("continue?", abort=True))
+    assert cli.main(["version"]) == 1
+    assert is_one_line(capsys.readouterr().err.lstrip())
 
 
 def test_error_messages_contain_no_control_characters(capsys):
