@@ -300,7 +300,7 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     lean = math.acos(min(max(float(kin.direction(model.imu, up)[2]), -1.0), 1.0))
     a = msg.linear_acceleration
-    pull = math.sqrt(a.x**2 + a.y**2 + a.z**2)
+    pull = math.hypot(a.x, a.y, a.z)
     text = f"leans by {math.degrees(lean):.1f} deg, turns at {np.linalg.norm(gyro):.3f} rad/s, {pull:.2f} m/s^2"
     if lean > FallWatch.upside_down:
         raise Failed(f"{text}: {FallWatch.other_frame}")

@@ -202,6 +202,9 @@ class JointWriter:
 
 # ---------------------------------------------------------------------- poses and points
 
+_FARTHEST = 1e6
+"""Largest distance of a pose from the origin of its frame [m]: squares of it, and their sums, remain exact enough."""
+
 
 def pose_fields(x: Array) -> Pose:
     """Return the Pose of a unit dual quaternion (8,); its translation is 2 D(x) P(x)*, (U1)."""
@@ -219,24 +222,20 @@ def pose(stamp: int, frame: str, x: Array) -> PoseStamped:
     return PoseStamped(header=header(stamp, frame), pose=pose_fields(x))
 
 
-def pose_dq(msg: PoseStamped) -> Array:
-    """Return the unit dual quaternion (8,) of a PoseStamped."""
-    p, r = msg.pose.position, msg.pose.orientation
-    return DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z]).vec8()
-
-
 def checked_pose(msg: PoseStamped, what: str) -> DQ:
     """Return the pose of a PoseStamped from outside; `what` is its name in the error message.
 
     Raises
     ------
     StateError
-        If its quaternion is not a unit quaternion, or its position is not finite.
+        If its quaternion is not a unit quaternion, or its position is not finite or farther away than `_FARTHEST`.
     """
     p, r = msg.pose.position, msg.pose.orientation
-    size = math.sqrt(r.w**2 + r.x**2 + r.y**2 + r.z**2)
-    if not (abs(size - 1.0) < 1e-3 and all(map(math.isfinite, (p.x, p.y, p.z)))):
-        raise StateError(f"{what} has no unit quaternion (its norm is {size:.3g}), or no finite position")
+    size, far = math.hypot(r.w, r.x, r.y, r.z), math.hypot(p.x, p.y, p.z)  # without overflow
+    if not abs(size - 1.0) < 1e-3:
+        raise StateError(f"{what} has no unit quaternion: its norm is {size:.3g}")
+    if not far <= _FARTHEST:
+        raise StateError(f"{what} is {far:.3g} m away; {_FARTHEST:g} m at most")
     return DQ.from_pose([p.x, p.y, p.z], [r.w / size, r.x / size, r.y / size, r.z / size])
 
 

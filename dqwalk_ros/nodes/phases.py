@@ -181,7 +181,11 @@ class PhaseLog:
 
     def _on_target(self, msg: PointStamped | PoseStamped) -> None:
         if isinstance(msg, PoseStamped):
-            target = PhaseKind.SINGLE_SUPPORT, ros.pose_dq(msg)
+            try:
+                target = PhaseKind.SINGLE_SUPPORT, ros.checked_pose(msg, "swing_target").vec8()
+            except StateError as error:
+                self._logger.error(f"cannot rebuild the phase: {error}")
+                return
         else:
             target = PhaseKind.DOUBLE_SUPPORT, np.array([msg.point.x, msg.point.y])
         stamp = ros.nanoseconds(msg.header.stamp)

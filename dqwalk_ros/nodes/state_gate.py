@@ -56,6 +56,8 @@ class InertialGate:
         Consecutive impossible measurements that are a fault.
     longest : callable
         Returns the time between two measurements above which nothing follows from the first about the second [s].
+    since : callable, optional
+        Returns the longest time that can have passed since the last state, whatever the stamps say [s].
 
     Attributes
     ----------
@@ -76,8 +78,8 @@ class InertialGate:
     strongest = 16.0 * GRAVITY
     """Largest acceleration, the range of the usual sensors [m/s^2]; only the odometry uses it."""
 
-    def __init__(self, limit: int, longest: Callable[[], float]) -> None:
-        self._longest = longest
+    def __init__(self, limit: int, longest: Callable[[], float], since: Callable[[], float] = lambda: math.inf) -> None:
+        self._longest, self._since = longest, since
         self.impossible, self._too_strong = FaultCounter(limit), FaultCounter(limit)
         self.rejected = 0
         self.reset()
@@ -107,7 +109,7 @@ class InertialGate:
         if stamp == self._judged and self._used is not None:
             return self._used
         self._judged, passed = stamp, 1e-9 * (stamp - self._accepted)
-        last = self._last if 0.0 < passed <= self._longest() else None
+        last = self._last if abs(passed) <= self._longest() else None  # it may be late, so that it follows a newer one
         if isinstance(felt, StateError):
             self.reason = str(felt)
         else:
@@ -127,7 +129,8 @@ class InertialGate:
             raise StateError(self.impossible.reason)
         if last is None:
             raise StateError(self.reason)
-        self._used = last._replace(up=_turned(last.up, last.gyro, passed))
+        most = self._since()
+        self._used = last._replace(up=_turned(last.up, last.gyro, min(max(passed, -most), most)))
         return self._used
 
     def _why(self, last: Felt | None, felt: Felt, passed: float) -> str:
@@ -136,10 +139,11 @@ class InertialGate:
             return f"the inertial sensor turns at {fastest:.3g} rad/s, beyond {self.rate:g} rad/s"
         if last is None:
             return ""
-        if not (change := float(np.abs(felt.gyro - last.gyro).max())) <= self.jolt + passed * self.angular:
+        time = min(abs(passed), self._since())  # within which it can have changed
+        if not (change := float(np.abs(felt.gyro - last.gyro).max())) <= self.jolt + time * self.angular:
             return f"the angular velocity of the inertial sensor jumped by {change:.3g} rad/s"
         expected = _turned(last.up, 0.5 * (last.gyro + felt.gyro), passed)
-        if not (off := float(np.linalg.norm(felt.up - expected))) <= self.tilt + passed * self.turn:
+        if not (off := float(np.linalg.norm(felt.up - expected))) <= self.tilt + time * self.turn:
             return (
                 f"the vertical of the inertial sensor jumped by {math.degrees(off):.0f} degrees, "
                 "which its gyroscope does not confirm"
@@ -207,6 +211,8 @@ class StateGate:
     """Number of consecutive states at another time, with advancing stamps, which indicates that a clock was set."""
     soon = 0.25
     """Part of a period; a state that follows the last one sooner is ignored, because no velocity follows from it."""
+    late = 2.0
+    """Periods by which a message may arrive earlier than it should, because the one before was late."""
     may_repeat = False
     """Whether the plant publishes a state again until it is answered."""
 
@@ -226,7 +232,8 @@ class StateGate:
         self._timeout = timeout
         self.watchdog = Watchdog(timeout, clock)
         self.impossible = FaultCounter(jumps)
-        self.inertial = InertialGate(jumps, timeout)
+        since = (lambda: math.inf) if by_stamp else (lambda: self.watchdog.age + self.late * dt)
+        self.inertial = InertialGate(jumps, timeout, since)
         self.overtaken = 0
         self.reset()
 

@@ -157,7 +157,11 @@ class Viewer(WalkNode):
         x = self._states.get(ros.nanoseconds(msg.header.stamp))
         if x is None or self._odometry is None:
             return
-        self._x_odom_base = (DQ(ros.pose_dq(msg)) * DQ(x).conj()).vec8()
+        try:
+            self._x_odom_base = (ros.checked_pose(msg, "base_pose") * DQ(x).conj()).vec8()
+        except StateError as error:
+            self.get_logger().error(str(error), **throttled())
+            return
         self.destroy_subscription(self._odometry)
         self._odometry, self._states = None, {}
 

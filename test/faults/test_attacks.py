@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import struct
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from full_disk import limited_file_size
+from geometry_msgs.msg import PoseStamped
 from inside import state
 from rclpy.serialization import serialize_message
 
@@ -21,7 +23,7 @@ from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.bag.storage import load as load_bag
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.support.errors import PlantError, StateError
 
 PAPER = load("paper").updated({"dt": 0.02})
 MODEL = load_model(PAPER.robot)
@@ -122,6 +124,11 @@ def test_monitor_and_viewer_ignore_invalid_messages(make: Any) -> None:
         monitor.send("joint_states", raw)
     assert "joint_states rejected: a message of 1 bytes has no header" in monitor.log
     assert "a message that cannot be read" in monitor.log
+    target = PoseStamped()
+    target.pose.position.x = math.nan
+    for node in (monitor, viewer):
+        node.send("swing_target", target)
+        assert "cannot rebuild the phase: swing_target is nan m away" in node.log
     monitor.node._next = -1
     monitor.send("joint_states", serialized_state(1.0))
     assert "double_support" in monitor.got["diagnostics"][-1].status[0].message
@@ -135,6 +142,29 @@ def test_monitor_and_viewer_ignore_invalid_messages(make: Any) -> None:
 
 
 # ---------------------------------------------------------------------- controller, plant
+
+
+@pytest.mark.parametrize(
+    ("place", "rotation", "reason"),
+    [
+        ((math.nan, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), "nan m away"),
+        ((0.0, math.inf, 0.0), (1.0, 0.0, 0.0, 0.0), "inf m away"),
+        ((0.0, 0.0, 1e300), (1.0, 0.0, 0.0, 0.0), r"1e\+300 m away; 1e\+06 m at most"),
+        ((1e308, -1e308, 1e308), (1.0, 0.0, 0.0, 0.0), "m away"),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), "no unit quaternion: its norm is 0"),
+        ((0.0, 0.0, 0.0), (1e200, 0.0, 0.0, 0.0), r"no unit quaternion: its norm is 1e\+200"),
+        ((0.0, 0.0, 0.0), (1.0, math.nan, 0.0, 0.0), "no unit quaternion: its norm is nan"),
+        ((0.0, 0.0, 0.0), (-1.7e308, 1.7e308, 1.7e308, 1.7e308), "no unit quaternion: its norm is inf"),
+    ],
+)
+def test_no_number_of_a_pose_passes_or_ends_a_node(place: Any, rotation: Any, reason: str) -> None:
+    """Footsteps, targets of hands and poses of a base: a square of such a number overflows."""
+    msg = PoseStamped()
+    p, r = msg.pose.position, msg.pose.orientation
+    p.x, p.y, p.z = place
+    r.w, r.x, r.y, r.z = rotation
+    with pytest.raises(StateError, match=f"the pose .*{reason}"):
+        ros.checked_pose(msg, "the pose")
 
 
 def test_states_stamped_before_1970_are_rejected(make: Any) -> None:

@@ -375,6 +375,37 @@ def test_three_impossible_inertial_measurements_in_a_row_are_a_fault_with_its_na
     assert gate.use(14 * PERIOD, given).up is given.up
 
 
+@pytest.mark.parametrize("off", [-90 * MS, -15 * MS, -1 * MS, 20 * MS, 85 * MS])
+@pytest.mark.parametrize("name", ["vertical", "upside down", "gyro", "possible gyro"])
+def test_a_wrong_stamp_makes_no_inertial_measurement_possible(
+    model: RobotModel, clock: SteppedTime, name: str, off: int
+) -> None:
+    """One that is out of order is compared with the last one, too; a stamp ahead allows no more change."""
+    gate = gate_of(model, clock)
+    for k in range(10):
+        gate.inertial.use(k * PERIOD, felt(k * DT))
+        gate.accept(k * PERIOD, at(np.zeros(model.n)))
+        clock.now += DT
+    used = gate.inertial.use(9 * PERIOD + off, GLITCHES[name])
+    assert gate.inertial.rejected == 1
+    np.testing.assert_allclose(used.up, felt(10 * DT).up, atol=0.02)
+    for k in (10, 11):
+        given = felt(k * DT)
+        assert gate.inertial.use(k * PERIOD, given).up is given.up
+
+
+@pytest.mark.parametrize("off", [-90 * MS, -15 * MS, 0, 85 * MS])
+def test_a_measurement_that_is_late_or_early_is_used(model: RobotModel, clock: SteppedTime, off: int) -> None:
+    gate = gate_of(model, clock)
+    for k in range(10):
+        gate.inertial.use(k * PERIOD, felt(k * DT))
+        gate.accept(k * PERIOD, at(np.zeros(model.n)))
+        clock.now += DT
+    for stamp in (9 * PERIOD + off, 11 * PERIOD):
+        given = felt(1e-9 * stamp)
+        assert gate.inertial.use(stamp, given).up is given.up or stamp == 9 * PERIOD
+
+
 def test_a_fault_of_the_inertial_sensor_is_one_of_the_states(model: RobotModel, clock: SteppedTime) -> None:
     gate = gate_of(model, clock, jumps=1)
     assert not gate.fault

@@ -319,6 +319,8 @@ def test_the_topics_command_the_arms_and_name_what_they_refuse(make: Any) -> Non
         (lambda: aim("map", IN_FRONT), "left_hand_target rejected (1 so far): the pose of the left hand is in 'map'"),
         (lambda: aim("", IN_FRONT), "no frame_id"),
         (lambda: aim("chest", IN_FRONT, w=7.0), "no unit quaternion"),
+        (lambda: aim("chest", IN_FRONT, w=1e200), "no unit quaternion"),
+        (lambda: aim("odom", DQ.from_pose([1e308, 0.0, 0.0])), "the pose is 1e+308 m away"),
         (lambda: node.send("arm_trajectory", JointTrajectory(joint_names=["l_elbow_y"], points=points)),
          "arm_trajectory rejected (1 so far): point 2 has 1 positions and 1 velocities"),
         (lambda: node.send("arm_trajectory", JointTrajectory(joint_names=["l_knee_y"], points=points[:1])),
@@ -326,4 +328,4 @@ def test_the_topics_command_the_arms_and_name_what_they_refuse(make: Any) -> Non
     ):  # fmt: skip
         bad()
         assert reason in node.log
-    assert node.node._arms.values() == {"left_hand_target rejected": 3, "arm_trajectory rejected": 2}
+    assert node.node._arms.values() == {"left_hand_target rejected": 5, "arm_trajectory rejected": 2}

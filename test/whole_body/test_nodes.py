@@ -161,7 +161,7 @@ GLITCHES: dict[str, tuple[dict[str, Any], str]] = {
     "no velocities": ({"dq": []}, "need a finite velocity"),
     "a name twice": ({"names": [*MODEL.joint_names[:-1], MODEL.joint_names[0]]}, "joints missing"),
     "base jumps": ({"x": DQ.from_pose([0.0, 0.0, 1.7]).vec8()}, "the base jumped by"),
-    "quaternion": ({"turned": 2.0}, "no unit quaternion (its norm is 2)"),
+    "quaternion": ({"turned": 2.0}, "no unit quaternion: its norm is 2"),
     "twist": ({"twist": one(START.v_base, 1e200)}, "the base moves at"),
     "twist not finite": ({"twist": one(START.v_base, math.nan)}, "not finite"),
 }
