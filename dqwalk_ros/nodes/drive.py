@@ -21,6 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
+from dqwalk_ros.nodes.safety import ClockSteps
 from dqwalk_ros.plants.servo_goals import JUMPS, ServoGoals
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import load_model
@@ -119,7 +120,7 @@ class RobotDrive(WalkNode):
         self._law = ServoGoals.of(config, self._model, lambda: self.config.plant.command_timeout)
         self._recent: deque[Array] = deque(maxlen=JUMPS)  # measured angles of all joints (N,) [rad]
         self._rest = np.zeros(len(self._joints))  # where the other joints stay [rad]
-        self._stamp = -1  # of the last state [ns]
+        self._stamp, self._steps = -1, ClockSteps()  # of the last state [ns]
         self._moved = self._stopped = 0.0  # times of the last command, and since when the robot stays [s]
         self._blind = ""  # why no command can have an effect
         self._last: Array | None = None  # values sent last
@@ -144,13 +145,22 @@ class RobotDrive(WalkNode):
             self.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}", **throttled())
             return
         now, stamp = self._now(), ros.nanoseconds(msg.header.stamp)
-        if stamp and stamp <= self._stamp and (stamp == self._stamp or self._law.gate.fresh(now)):
-            return  # sent again, or out of order; after a timeout, an older stamp is that of a clock that was set back
+        if stamp and not self._follows(stamp, now):
+            return
+        self._steps.forget()
         self._stamp = stamp
         self._recent.append(q)
         self._law.measure(q[self._own], now)
         if self._law.fault:
             self._check()
+
+    def _follows(self, stamp: int, now: float) -> bool:
+        """Return whether the stamp of a state [ns] is not that of the last one, out of order, or wrong."""
+        gate, passed = self._law.gate, 1e-9 * (stamp - self._stamp)
+        if self._stamp <= 0 or not gate.fresh(now):
+            return passed != 0.0
+        longest = gate.age(now) + self.config.plant.command_timeout
+        return 0.0 < passed <= longest or (passed != 0.0 and self._steps.is_one(stamp))
 
     def _on_command(self, msg: JointState) -> None:
         self._look()

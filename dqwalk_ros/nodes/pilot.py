@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
+from dqwalk_ros.nodes.safety import ClockSteps
 from dqwalk_ros.walks.course import Course
 
 __all__ = ["Pilot"]
@@ -24,6 +25,10 @@ _PERIOD = 0.1
 """Period of the commands [s]."""
 _SILENT, _REPEATED = 20, 100
 """Periods after which the pilot says that it waits for a controller, and those after which it says so again."""
+
+
+_LONGEST = 5_000_000_000
+"""Longest time between two states, above which a stamp is wrong, or a clock was set [ns]."""
 
 
 class Pilot(WalkNode):
@@ -55,6 +60,7 @@ class Pilot(WalkNode):
         super().__init__("pilot", options, **keywords)
         self._course = Course.parse(options.cmd_vel)
         self._begin = self._now = -1  # stamps [ns]
+        self._steps = ClockSteps()
         self._waited = 0  # periods without a controller
         self._stop_request: Future | None = None
         self._twists = self.create_publisher(Twist, "cmd_vel", 1)
@@ -66,7 +72,13 @@ class Pilot(WalkNode):
         self.get_logger().info(f"a course of {self._course.duration:g} s in {legs}")
 
     def _on_state(self, msg: JointState) -> None:
-        self._now = ros.nanoseconds(msg.header.stamp)
+        stamp = ros.nanoseconds(msg.header.stamp)
+        if self._now >= 0 and not 0 <= stamp - self._now <= _LONGEST:
+            if not self._steps.is_one(stamp):
+                return
+            self._begin += stamp - self._now if self._begin >= 0 else 0  # the course goes on
+        self._steps.forget()
+        self._now = stamp
 
     def _steer(self) -> None:
         if self._now < 0 or not self._twists.get_subscription_count():

@@ -21,6 +21,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError, listed
 
 __all__ = [
+    "ClockSteps",
     "CommandGate",
     "DuplicatePublishers",
     "DuplicateStates",
@@ -143,6 +144,26 @@ class FaultCounter:
 
     def __bool__(self) -> bool:
         return bool(self.reason)
+
+
+class ClockSteps:
+    """Tells a clock that was set from a single wrong stamp, for the stamps that do not follow the last accepted one."""
+
+    steps = 3
+    """Number of consecutive messages at another time, with advancing stamps, which indicates that a clock was set."""
+
+    def __init__(self) -> None:
+        self._count, self._last = 0, -1  # of such stamps, and the last one [ns]
+
+    def forget(self) -> None:
+        """Register a stamp that follows the last accepted one."""
+        self._count = 0
+
+    def is_one(self, stamp: int) -> bool:
+        """Register a stamp at another time [ns]; return whether a clock was set."""
+        self._count = self._count + 1 if stamp > self._last else 1
+        self._last = stamp
+        return self._count >= self.steps
 
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dqwalk_ros.nodes.safety import Clock, FaultCounter, Watchdog
+from dqwalk_ros.nodes.safety import Clock, ClockSteps, FaultCounter, Watchdog
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.limits import FASTEST, named_angles, outside_limits, unreachable
@@ -207,8 +207,6 @@ class StateGate:
 
     repeats = 5
     """Number of consecutive states with the stamp of the last one that indicates stamps which do not advance."""
-    steps = 3
-    """Number of consecutive states at another time, with advancing stamps, which indicates that a clock was set."""
     soon = 0.25
     """Part of a period; a state that follows the last one sooner is ignored, because no velocity follows from it."""
     late = 2.0
@@ -245,7 +243,7 @@ class StateGate:
         self._q: Array | None = None
         self._stamp = -1
         self._repeated = 0  # consecutive states with this stamp
-        self._strange, self._strangest = 0, -1  # consecutive states at another time, and the stamp of the last one [ns]
+        self._steps = ClockSteps()
         self._offset = 0  # of the stamps from the time of the walk [ns]
         self._passed = 0.0  # from the last accepted state to the first impossible one after it [s]
         self.stepped = 0.0
@@ -266,20 +264,17 @@ class StateGate:
         passed = 1e-9 * (stamp - self._stamp)
         follows = self.soon * self._dt <= passed <= self._farthest
         if self._stamp < 0 or (self.watchdog.silent and not repeated) or follows:
-            self._strange = 0
+            self._steps.forget()
             return True
-        if not 0.0 <= passed <= self._farthest:
-            self._strange = self._strange + 1 if stamp > self._strangest else 1
-            self._strangest = stamp
-            if self._strange >= self.steps:
-                return True
+        if not 0.0 <= passed <= self._farthest and self._steps.is_one(stamp):
+            return True
         self.overtaken += 1
         return False
 
     @property
     def _farthest(self) -> float:
         """Longest time by which the stamps can have advanced since the last accepted state [s]."""
-        return math.inf if self._by_stamp else self.watchdog.age + self._timeout()
+        return self.watchdog.age + self._timeout()
 
     @property
     def stuck(self) -> str:

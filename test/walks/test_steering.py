@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from inside import state
 
 import dqwalk_ros as dq
 from dqwalk_ros import report as reporting
@@ -198,6 +199,18 @@ def test_an_invalid_course_is_a_command_line_error(tmp_path: Path, capsys) -> No
     assert main(arguments) == 2
     assert "--cmd-vel wants" in capsys.readouterr().err
     assert not (tmp_path / "walk" / "bag").exists()
+
+
+def test_a_wrong_stamp_does_not_end_the_course_of_the_pilot(make: Any) -> None:
+    """Nor does a clock that is set."""
+    pilot = make("pilot", CONFIG, "--cmd-vel", "0.01,0,0,10")
+    pilot.node._twists.get_subscription_count = lambda: 1
+    for stamp in (*np.arange(1.0, 3.0, 0.1), 2e9, *np.arange(3.0, 5.0, 0.1), *np.arange(1e9, 1e9 + 7.0, 0.1)):
+        pilot.send("joint_states", state([], [], stamp))
+        pilot.node._steer()
+    forward = [msg.linear.x for msg in pilot.got["cmd_vel"]]
+    assert 97 <= forward.count(0.01) <= 105  # 10 s, in which the time stands still for 3 states
+    assert forward[-1] == 0.0
 
 
 def test_the_pilot_says_after_2_s_and_every_10_s_that_it_waits_for_a_controller(make: Any) -> None:

@@ -225,6 +225,22 @@ def test_states_whose_stamps_do_not_advance_are_rejected_with_the_reason(make: A
     assert len(commands_of(node)) == 2
 
 
+def test_one_state_of_another_time_and_messages_of_another_clock_do_not_end_the_walk(make: Any) -> None:
+    node = make("whole_body_controller", REAL)
+    body = WholeBodyController(REAL, MODEL).start
+    for k in range(12):
+        if k == 4:  # a plant waits for its command, so its stamps advance by a period
+            send_state(node, 1e6, body)
+            send_state(node, REAL.dt * k + 1.0, body)
+        if k == 8:  # of another robot, whose stamps are those of a clock
+            for ahead in range(100):
+                node.send("base_pose", ros.pose(10**18 + ahead, "odom", body.x_base))
+        node.clock.now += REAL.dt
+        send_state(node, REAL.dt * k, body)
+    stamps = [ros.nanoseconds(msg.header.stamp) for msg in commands_of(node)]
+    assert stamps == [round(1e9 * REAL.dt * k) for k in range(12)]
+
+
 @pytest.mark.parametrize("fault", ["infeasible", "not finite", "an exception"])
 def test_a_failed_controller_sends_zero_torques_and_waits_for_a_reset(
     make: Any, fault: str, monkeypatch: pytest.MonkeyPatch

@@ -117,7 +117,7 @@ class WholeBodyController(AnsweringNode):
         parts |= part
         if len(parts) < 3:
             while len(self._parts) > _PARTS:
-                del self._parts[min(self._parts)]
+                del self._parts[next(iter(self._parts))]  # the oldest, not the earliest: stamps may be wrong
             return
         self._parts = {other: kept for other, kept in self._parts.items() if other > stamp}
         try:
