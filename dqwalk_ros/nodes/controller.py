@@ -108,7 +108,7 @@ class Controller(AnsweringNode):
         if config.plant.imu:
             self.awaited = "joint_states and imu"
         warm_up(config, self._model)
-        self._walk = make_controller(config, self._model)
+        self._controller = make_controller(config, self._model)
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
@@ -131,10 +131,10 @@ class Controller(AnsweringNode):
             InertialSensor(self, self._model.imu_link, self._gate.inertial, self._take) if config.plant.imu else None
         )
         steered = not walk_type(config).phases(config)
-        self._steering = Steering(self, self._walk) if steered else None
-        self._footsteps = FootstepInput(self, self._walk, self._odometry) if steered else None
-        moves_arms = isinstance(self._walk.walk, SteppingWalk) and self._walk.walk.arms is not None
-        self._arms = ArmInput(self, self._walk, self._odometry) if moves_arms else None
+        self._steering = Steering(self, self._controller) if steered else None
+        self._footsteps = FootstepInput(self, self._controller, self._odometry) if steered else None
+        moves_arms = isinstance(self._controller.walk, SteppingWalk) and self._controller.walk.arms is not None
+        self._arms = ArmInput(self, self._controller, self._odometry) if moves_arms else None
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/pause", self._pause)
         self.create_service(Trigger, "~/stop", self._stop)
@@ -197,21 +197,22 @@ class Controller(AnsweringNode):
 
     def _publish_odometry(self, stamp: int, state: State) -> None:
         """Publish the pose of the robot in the frame of the first phase, also before that phase has begun."""
-        both, x_base, kin, loads = True, DQ(1.0), self._walk.kin, self._walk.loads
+        controller, both, x_base = self._controller, True, DQ(1.0)
+        kin, loads = controller.kin, controller.loads
         if self._has_begun:
-            phase = self._walk.phase
-            base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(self._walk.x_odom_base)
+            phase = controller.phase
+            base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(controller.x_odom_base)
         else:
-            base = self._first_base = self._first_base or self._walk.first_base(state)
+            base = self._first_base = self._first_base or controller.first_base(state)
         if kin is None or kin.base is not base or not np.array_equal(kin.q, state.q):  # the walk has not answered it
             kin, loads = Kinematics.measured(self._model, state.q, base, state.up), None
         self._odometry.publish(stamp, state, kin, x_base, both=both, loads=loads)
 
     def _publish_loads(self, stamp: int) -> None:
         """Publish the estimated loads of the feet at the last state that the walk has answered."""
-        if self._walk.loads is None or self._mode is not Mode.WALKING:
+        if self._controller.loads is None or self._mode is not Mode.WALKING:
             return
-        for topic, foot, load in zip(self._load_topics, Foot, self._walk.loads, strict=True):
+        for topic, foot, load in zip(self._load_topics, Foot, self._controller.loads, strict=True):
             if topic.get_subscription_count():
                 force = np.array([0.0, 0.0, load, 0.0, 0.0, 0.0])
                 topic.publish(ros.wrench(stamp, self._model.soles[foot].frame, force))
@@ -222,7 +223,7 @@ class Controller(AnsweringNode):
 
     @property
     def _may_hold(self) -> bool:
-        return self._walk.may_hold
+        return self._controller.may_hold
 
     def _step(self, state: State, stamp: int) -> Fields:
         """Return the command for a state; zero velocity after an error."""
@@ -230,7 +231,7 @@ class Controller(AnsweringNode):
         def step() -> Command:
             if self._steering is not None:
                 self._steering.apply()
-            return self._walk.step(state, self.config.dt)
+            return self._controller.step(state, self.config.dt)
 
         command: Command | None = self._guarded(step)
         if command is None:
@@ -239,15 +240,15 @@ class Controller(AnsweringNode):
             self._drive.add(state.time, state.q, command.velocity, command.effort)
         if self._stamp0 < 0:
             self._stamp0 = stamp
-        if self._phases.follow(self._walk, stamp):
+        if self._phases.follow(self._controller, stamp):
             self._begin_phase(stamp)
-        if self._walk.finished:
+        if self._controller.finished:
             self._mode = Mode.DONE
             return self._still
-        if tips := self._falls.tips(self._walk.phase.base, self._walk.lean):
+        if tips := self._falls.tips(self._controller.phase.base, self._controller.lean):
             self._mode, self._problem = Mode.FALLEN, tips
             return self._still
-        if self._pausing and self._walk.may_hold:
+        if self._pausing and self._controller.may_hold:
             self._pausing, self._mode = False, Mode.PAUSED
             self._show_phase()
             return self._still
@@ -266,7 +267,7 @@ class Controller(AnsweringNode):
         """End the walk if the measurements contradict the commands; not checked while the robot stands still."""
         if self._mode is not Mode.WALKING or not ready:
             self._falls.forget()
-        elif confirmed := self._falls.compare(state, self._sent["velocity"], self._walk.lean):
+        elif confirmed := self._falls.compare(state, self._sent["velocity"], self._controller.lean):
             self._fail(confirmed)
 
     def _fail(self, reason: str) -> None:
@@ -297,7 +298,7 @@ class Controller(AnsweringNode):
         if self._mode in (Mode.IDLE, Mode.PAUSED) or self._pausing:
             if self._gate.fault:
                 return self.answer(response, False, f"{self._gate.fault}; call ~/reset first")
-            self._walk.pause(False)
+            self._controller.pause(False)
             self._mode, self._pausing = Mode.WALKING, False
             self._show_phase()
             return self.answer(response, True, "walking")
@@ -309,8 +310,8 @@ class Controller(AnsweringNode):
     def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode is not Mode.WALKING:
             return self.answer(response, self._mode is Mode.PAUSED, f"not walking: {self._mode.value}")
-        self._walk.pause(True)
-        if not self._walk.may_hold:
+        self._controller.pause(True)
+        if not self._controller.may_hold:
             self._pausing = True
             return self.answer(response, True, "pausing: it puts its feet together, then it stands; ~/start continues")
         self._mode = Mode.PAUSED
@@ -321,7 +322,7 @@ class Controller(AnsweringNode):
         if self._mode is not Mode.WALKING:
             return self.answer(response, False, f"not walking: {self._mode.value}")
         try:
-            self._walk.stop()
+            self._controller.stop()
         except DqwalkError as error:
             return self.answer(response, False, str(error))
         return self.answer(response, True, "stopping: after the current step the feet are put together")
@@ -329,7 +330,7 @@ class Controller(AnsweringNode):
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._falls.lying:
             return self.answer(response, False, f"{self._falls.lying}; put it on its feet first")
-        self._walk.reset()
+        self._controller.reset()
         self._odometry.restart()
         self._drive = DriveWatch(Drive.of(self.config, self._model))
         self._phases.restart()
@@ -349,7 +350,7 @@ class Controller(AnsweringNode):
         own = ("plant.", "monitor.", "gait.cmd_vel_timeout")
         before, now = self.config.flat(), config.flat()
         if any(now[name] != before[name] and not name.startswith(own) for name in now):
-            self._walk.tune(config)
+            self._controller.tune(config)
 
     @property
     def _has_begun(self) -> bool:
@@ -359,28 +360,29 @@ class Controller(AnsweringNode):
     @property
     def _label(self) -> str:
         """Name of the current phase, or of the mode."""
-        return self._walk.phase.name if self._mode is Mode.WALKING and self._has_begun else self._mode.value
+        return self._controller.phase.name if self._mode is Mode.WALKING and self._has_begun else self._mode.value
 
     def _show_phase(self) -> None:
         if self._label != Mode.WALKING.value:  # no phase is known before the first state
             self._phases.show(self._label)
 
     def _begin_phase(self, stamp: int) -> None:
-        phase = self._walk.phase
+        phase = self._controller.phase
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             self._odometry.note_step()
         if self._footsteps is not None:
             self._footsteps.show()
-        self.get_logger().info(f"{(stamp - self._stamp0) * 1e-9:8.3f} s  phase {self._walk.phase_index}: {phase.name}")
+        elapsed, index = (stamp - self._stamp0) * 1e-9, self._controller.phase_index
+        self.get_logger().info(f"{elapsed:8.3f} s  phase {index}: {phase.name}")
 
     def _condition(self) -> tuple[str, str, dict[str, object]]:
         values: dict[str, object] = {}
         if self._imu is not None:
             values["imu rejected"] = self._gate.inertial.rejected
         if self._has_begun:
-            walk = self._walk
-            values |= {"error": walk.error, "solve time": walk.solve_time, "iterations": walk.iterations}
-            values |= {"compute time": self._compute_time, "active rows": ", ".join(walk.active)}
+            now = self._controller
+            values |= {"error": now.error, "solve time": now.solve_time, "iterations": now.iterations}
+            values |= {"compute time": self._compute_time, "active rows": ", ".join(now.active)}
         if self._steering is not None:
             values |= self._steering.values()
         if self._arms is not None:
@@ -398,10 +400,10 @@ class Controller(AnsweringNode):
         walking = self._has_begun
         self.report(
             mode=self._mode.value,
-            phase=self._walk.phase.name if walking else "",
-            phase_index=self._walk.phase_index,
+            phase=self._controller.phase.name if walking else "",
+            phase_index=self._controller.phase_index,
             time=(self._stamp - self._stamp0) * 1e-9 if walking else 0.0,
             ticks=self._ticks,
-            error=float(self._walk.error) if walking else None,
+            error=float(self._controller.error) if walking else None,
             reason=self._problem,
         )

@@ -56,14 +56,14 @@ class PhasePublisher:
         self._index = self._began = -1
         self._decision = ""
 
-    def follow(self, walk: VelocityController, stamp: int) -> bool:
+    def follow(self, controller: VelocityController, stamp: int) -> bool:
         """Publish what has changed at the state with a stamp [ns]; return whether a phase has begun."""
-        phase, before, self._decision = walk.phase, self._decision, walk.phase.decision
-        if walk.phase_index != self._index:
-            self._index, self._began = walk.phase_index, stamp
-            if walk.config is not self._config:
-                self._config = walk.config
-                self._configurations.publish(String(data=to_yaml(walk.config, stamp)))
+        phase, before, self._decision = controller.phase, self._decision, controller.phase.decision
+        if controller.phase_index != self._index:
+            self._index, self._began = controller.phase_index, stamp
+            if controller.config is not self._config:
+                self._config = controller.config
+                self._configurations.publish(String(data=to_yaml(controller.config, stamp)))
             self._begin(phase)
             return True
         if phase.decision != before:  # the target of the swing foot, for the reason given

@@ -23,7 +23,7 @@ from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import Plant, pushed_periods
-from dqwalk_ros.plants.table import plant_type
+from dqwalk_ros.plants.table import make_plant, plant_type
 from dqwalk_ros.robot.limits import clamp_velocity
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import DqwalkError, StateError
@@ -265,8 +265,6 @@ class Physics(SimulatedPlant):
 
     def make_plant(self) -> Plant:
         """Return the robot on its soles."""
-        from dqwalk_ros.plants.table import make_plant  # the integrator runs without the dependencies of physics
-
         return make_plant(self.config.plant.name or "physics", self.config, self.model)
 
     def period(self, passed: float) -> float:

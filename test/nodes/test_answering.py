@@ -148,7 +148,7 @@ def test_errors_of_the_controller_are_tolerated_as_configured(make: Any, monkeyp
         return Command(0.0, np.ones(MODEL.n))
 
     assert any(walk.tick())
-    monkeypatch.setattr(walk.node._walk, "step", step)
+    monkeypatch.setattr(walk.node._controller, "step", step)
     for _ in range(2):
         assert walk.tick() == [0.0] * MODEL.n
     assert walk.status.level == b"\x02"  # while there is no command
@@ -182,7 +182,7 @@ def test_one_other_error_ends_the_walk(
         getattr(command, field)[2] = fault
         return command
 
-    monkeypatch.setattr(walk.node._walk, "step", step)
+    monkeypatch.setattr(walk.node._controller, "step", step)
     assert walk.tick() == [0.0] * MODEL.n
     assert walk.got["phase"][-1].data == "failed"
     assert named in walk.status.message

@@ -70,7 +70,7 @@ def test_param_set_is_logged_published_and_used_from_the_next_phase(make: Any) -
     from dqwalk_ros.nodes import messages as ros
 
     one, monitor = make("controller", CONFIG), make("phase_monitor", CONFIG)
-    controller, plant = one.node._walk, make_plant("kinematic", CONFIG, MODEL)
+    controller, plant = one.node._controller, make_plant("kinematic", CONFIG, MODEL)
 
     def put(name: str, value: float) -> Any:
         return one.node.set_parameters([Parameter(name, value=value)])[0]

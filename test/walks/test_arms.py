@@ -296,7 +296,7 @@ def test_the_topics_command_the_arms_and_name_what_they_refuse(make: Any) -> Non
 
     node, robot = make("controller", CONFIG), KinematicPlant(MODEL, make_walk(CONFIG, MODEL).posture)
     node.exchange(robot, MODEL, 1.0)
-    arms = node.node._walk.walk.arms
+    arms = node.node._controller.walk.arms
 
     def aim(frame: str, x: DQ, **changes: float) -> None:
         msg = PoseStamped(pose=ros.pose_fields(x.vec8()))
@@ -307,7 +307,7 @@ def test_the_topics_command_the_arms_and_name_what_they_refuse(make: Any) -> Non
 
     aim("chest", IN_FRONT)
     assert not arms.hands["left"].fixed
-    kin = node.node._walk.kin
+    kin = node.node._controller.kin
     aim("odom", node.node._odometry.base_sole * DQ(kin.pose("l_hand")))
     np.testing.assert_allclose(arms.hands["left"].pose.translation(), kin.point("l_hand"), atol=1e-12)
     points = [JointTrajectoryPoint(positions=[-0.1], velocities=v) for v in ([], [0.0])]

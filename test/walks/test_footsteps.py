@@ -183,7 +183,7 @@ def robot(make: Any) -> KinematicRobot:
 
 
 def test_footsteps_in_odom_are_walked(robot: KinematicRobot) -> None:
-    controller = robot.node.node._walk
+    controller = robot.node.node._controller
     assert "not in a stance" in robot.send(BESIDE)
     robot.walk(10)
     soles = {foot: DQ(x) for foot, x in controller.soles().items()}
@@ -211,7 +211,7 @@ def test_footsteps_in_a_sole_frame_and_cancellation_by_an_empty_path(robot: Kine
     robot.until("walking 1/5")
     assert "not in a stance" in robot.send(BESIDE)
     assert robot.send() == "cancelled: 4 footsteps dropped, the feet are put together"
-    controller = robot.node.node._walk
+    controller = robot.node.node._controller
     names = []
     while not (names and names[-1].startswith("stance")):
         robot.walk(20)
