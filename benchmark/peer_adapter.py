@@ -18,7 +18,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum, PointInCylinder, PointOverPlane
 from dqwalk_ros.paper.features import CenterOfMass, Point
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import Cylinder, Line, Plane
+from dqwalk_ros.paper.geometry import Cylinder, Line, Plane, Z
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.tasks import ComOverFoot, FramePose, Task
@@ -27,7 +27,6 @@ from dqwalk_ros.robot.model import RobotModel, load_model
 __all__ = ["make_clarabel", "make_daqp", "phase_of", "robot_of"]
 
 Array = np.ndarray
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 class Never:
@@ -51,17 +50,17 @@ def phase_of(model: RobotModel, walk: Walk, phase: str) -> Phase:
     """Return the phase ``"dsp"`` or ``"ssp"`` of a walk, in the frame of the left sole."""
     com, tip = CenterOfMass(), Point("tip")
     pelvis = PointOverPlane(
-        name="pelvis", eta=walk.eta_pelvis, point=Point("pelvis"), plane=Plane(_UP, walk.pelvis_height)
+        name="pelvis", eta=walk.eta_pelvis, point=Point("pelvis"), plane=Plane(Z, walk.pelvis_height)
     )
 
     def upright(center: Array, radius: float) -> Cylinder:
-        return Cylinder(Line.through(center, _UP), radius)
+        return Cylinder(Line.through(center, Z), radius)
 
     if phase == "dsp":
         kind, target = PhaseKind.DOUBLE_SUPPORT, None
         task: Task = ComOverFoot(name="com", foot=Point("base", np.array([*walk.com_target, 0.0])))
         equalities: tuple[Constraint, ...] = (
-            PointOverPlane(name="ground", eta=walk.eta_ground, point=tip, plane=Plane(_UP, 0.0)),
+            PointOverPlane(name="ground", eta=walk.eta_ground, point=tip, plane=Plane(Z, 0.0)),
         )
         inequalities: tuple[Constraint, ...] = (
             PointInCylinder(
@@ -115,7 +114,7 @@ def make(solver: str) -> Callable[[Chain, Walk, str], Callable[[Array], Array]]:
         no_limit = np.full(model.n, math.inf)
 
         def tick(q: Array) -> Array:
-            at = ours.evaluate(q[to_model], _UP, math.inf, walk.dt, no_limit)
+            at = ours.evaluate(q[to_model], Z, math.inf, walk.dt, no_limit)
             return kept.solve(at.problem).u[to_chain]
 
         return tick

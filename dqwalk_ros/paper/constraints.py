@@ -234,7 +234,7 @@ class PointOverPlane(Affine, Constraint):
 
 @jit
 def inside_wall(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
-    """Signed distance of p from the vertical plane through a[:3] and b, side a[3], s (6,) = (p, b): (U9), (U10) [m]."""
+    """Distance of p from the vertical plane through a[:3] and b, side a[3], s (6,) = (p, b): (U9) and (U10) [m]."""
     d, gradient = point_to_wall(s, a[:3], a[3])
     return np.array([d]), gradient.reshape(1, 6), np.zeros(1)
 

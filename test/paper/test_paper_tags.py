@@ -7,7 +7,7 @@ fast as the paper's. If a second copy of the formula were executed instead, both
 from __future__ import annotations
 
 import pytest
-from mutated import changes_output, copy_package, output_of
+from mutated import changed, changes_output, copy_package, output_of
 
 PLACES = {
     "(U1)": ("dqwalk_ros/paper/kinematics.py", "2.0 * t[1], 2.0 * t[2]", "2.1 * t[1], 2.0 * t[2]"),
@@ -31,7 +31,7 @@ PLACES = {
         'name="sliding", eta=2.0 * dsp.eta_sliding',
     ),
     "(U7) and (U14)": ("dqwalk_ros/paper/constraints.py", "a[6] ** 2 - square", "a[6] ** 2 - 1.1 * square"),
-    "(U8)": ("dqwalk_ros/paper/walk.py", "point=tip, plane=Plane(_UP, 0.0)", "point=tip, plane=Plane(_UP, 1e-3)"),
+    "(U8)": ("dqwalk_ros/paper/walk.py", "point=tip, plane=Plane(Z, 0.0)", "point=tip, plane=Plane(Z, 1e-3)"),
     "(U9)": ("dqwalk_ros/paper/walk.py", 'wall("tip_plane", dsp.eta_tip', 'wall("tip_plane", 2.0 * dsp.eta_tip'),
     "(U10)": ("dqwalk_ros/paper/walk.py", 'wall("back_plane", dsp.eta_back', 'wall("back_plane", 2.0 * dsp.eta_back'),
     "(U9) and (U10)": (
@@ -39,7 +39,7 @@ PLACES = {
         "point_to_wall(s, a[:3], a[3])",
         "point_to_wall(s, a[:3], -a[3])",
     ),
-    "(U11)": ("dqwalk_ros/paper/walk.py", "Plane(_UP, config.pelvis.height)", "Plane(_UP, 1.1 * config.pelvis.height)"),
+    "(U11)": ("dqwalk_ros/paper/walk.py", "Plane(Z, config.pelvis.height)", "Plane(Z, 1.1 * config.pelvis.height)"),
     "(U12)": ("dqwalk_ros/paper/constraints.py", "return q_max - q,", "return 0.9 * q_max - q,"),
     "(U13)": ("dqwalk_ros/paper/constraints.py", "return q - q_min,", "return q - 0.9 * q_min,"),
     "(U14)": (
@@ -54,7 +54,7 @@ PLACES = {
     ),
     "ection 4.2": ("dqwalk_ros/paper/tasks.py", "return sign * s - target", "return 1.01 * sign * s - target"),
     "switching rule of section 5": (
-        "dqwalk_ros/paper/walk.py",
+        "dqwalk_ros/paper/phase.py",
         "fall < self._stall and",
         "fall < 0.1 * self._stall and",
     ),
@@ -77,6 +77,11 @@ for kind, target in ((PhaseKind.DOUBLE_SUPPORT, None), (PhaseKind.SINGLE_SUPPORT
 trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=9.0)
 print([(phase.name, round(phase.time, 6)) for phase in trace.phases], trace.notes)
 """
+
+
+@pytest.mark.parametrize("tag", PLACES)
+def test_each_tag_marks_one_line(tag):
+    assert changed(tag, *PLACES[tag])
 
 
 @pytest.mark.long

@@ -28,11 +28,17 @@ def copy_package(folder: Path) -> Path:
     return folder
 
 
-def changes_output(folder: Path, script: str, tag: str, name: str, line: str, broken: str) -> bool:
-    """Change a line below an equation tag in a copy; return whether the output of the script changes."""
+def changed(tag: str, name: str, line: str, broken: str) -> str:
+    """Return the text of a file with a line changed, which it has once, below an equation tag."""
     text = (ROOT / name).read_text(encoding="utf-8")
     assert text.count(line) == 1, line
     at = text[: text.index(line)].count("\n")
-    assert tag in " ".join(" ".join(text.splitlines()[max(0, at - 14) : at + 2]).split())
-    (copy_package(folder) / name).write_text(text.replace(line, broken), encoding="utf-8")
+    assert tag in " ".join(" ".join(text.splitlines()[max(0, at - 14) : at + 2]).split()), tag
+    return text.replace(line, broken)
+
+
+def changes_output(folder: Path, script: str, tag: str, name: str, line: str, broken: str) -> bool:
+    """Change a line below an equation tag in a copy; return whether the output of the script changes."""
+    text = changed(tag, name, line, broken)
+    (copy_package(folder) / name).write_text(text, encoding="utf-8")
     return output_of(script, folder) != output_of(script)

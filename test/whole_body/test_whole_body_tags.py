@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mutated import changes_output, output_of
+from mutated import changed, changes_output, output_of
 
 from dqwalk_ros import whole_body
 from dqwalk_ros.config import load
@@ -118,6 +118,11 @@ walked, h = follow(controller, plant, scenario), controller.last.problem
 for part in (walked.q[-1], h.H, h.c, h.A, h.lower, h.upper):
     print([f"{number:.9g}" for number in part.ravel()])
 """
+
+
+@pytest.mark.parametrize("number", PLACES)
+def test_each_changed_line_is_below_its_tag(number: int) -> None:
+    assert changed(f"(S{number})", *PLACES[number])
 
 
 @pytest.mark.long
