@@ -16,7 +16,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -375,10 +374,14 @@ def listen(config: Config, seconds: float, namespace: str = "") -> Heard:
 
     The first state is waited for as long. A walk is under way if its controller says so, so all publishers are to be
     discovered, and the latched messages of the discovered ones are waited for, at most for another `_LATCHED`.
+
+    Raises
+    ------
+    ConfigError
+        If ROS does not start.
     """
-    wheels.find_log_folder()
     context = Context()
-    rclpy.init(context=context)
+    wheels.initialize(context=context)
     heard = Heard(seconds)
     try:
         node = Node("doctor", namespace=namespace, context=context)

@@ -35,7 +35,7 @@ from dqwalk_ros.config import find_share
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.own_folder import own_folder, temporary
 
-__all__ = ["STEADY", "TimerWaker", "find_log_folder", "first_line", "init", "shutdown", "spin"]
+__all__ = ["STEADY", "TimerWaker", "find_log_folder", "first_line", "init", "initialize", "shutdown", "spin"]
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """For every timer and throttled log: those of rclpy's default clock stop when the system's clock is set back."""
@@ -59,7 +59,6 @@ def init(argv: Sequence[str]) -> list[int]:
         For invalid ROS arguments, or missing security keys.
     """
     received: list[int] = []
-    find_log_folder()
     if "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ and rclpy.get_rmw_implementation_identifier() == _FAST_DDS:
         local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
         profile = find_share("config", "fastdds_localhost.xml" if local else "fastdds.xml")
@@ -69,11 +68,25 @@ def init(argv: Sequence[str]) -> list[int]:
     hangs_up = signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
     for number in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
         signal.signal(number, lambda number, frame: received.append(number))
-    try:
-        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy raises its own, undocumented types
-        raise ConfigError(first_line(error)) from error
+    initialize(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     return received
+
+
+def initialize(**options: Any) -> None:
+    """Initialize rclpy, with the options of its `init`.
+
+    Raises
+    ------
+    ConfigError
+        If that fails.
+    """
+    find_log_folder()
+    try:
+        rclpy.init(**options)
+    except Exception as error:  # rclpy raises its own, undocumented types
+        secured = os.environ.get("ROS_SECURITY_ENABLE") == "true"
+        keys = "; ROS_SECURITY_ENABLE is set, which needs the keys of this node in ROS_SECURITY_KEYSTORE"
+        raise ConfigError(first_line(error) + (keys if secured else "")) from error
 
 
 def find_log_folder() -> None:

@@ -122,7 +122,7 @@ def _imported(name: str) -> type[Plant]:
         if error.name in ("mujoco", "pydrake"):
             raise PlantError(f"the physics engine is not installed: {how_to_install(error.name)}") from error
         raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error
-    except (ImportError, AttributeError, ValueError) as error:
+    except Exception as error:  # MuJoCo loads the library of MUJOCO_GL, and any module may fail
         raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Plant)):
         raise PlantError(f"the plant '{name}' is not a subclass of dqwalk_ros.plants.base.Plant")

@@ -37,7 +37,7 @@ def walk_type(config: Config) -> type[Walk]:
         raise ConfigError(f"gait.walk is '{own}'; it must be MODULE:CLASS")
     try:
         found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
+    except Exception as error:  # any module may fail
         raise ConfigError(f"gait.walk is '{own}'; the class cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Walk)):
         raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.paper.walk.Walk")

@@ -172,6 +172,15 @@ def test_a_walk_is_refused_as_an_exercise(legs) -> None:
             use(walk)
 
 
+def test_the_bag_is_not_replaced_by_its_result(tmp_path, capsys) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "bag_0.mcap").write_text("a recording")
+    assert cli.main(["identify", str(bag), "--out", str(bag / "bag_0.mcap"), "--force"]) == 2
+    assert "is in the bag, which is not changed" in capsys.readouterr().err
+    assert (bag / "bag_0.mcap").read_text() == "a recording"
+
+
 def test_a_joint_with_too_small_a_range_is_refused() -> None:
     narrow = dataclasses.replace(LEGS, q_min=LEGS.q_max - 0.2)
     with pytest.raises(ConfigError, match="lock it"):

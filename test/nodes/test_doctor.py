@@ -148,6 +148,22 @@ def test_faults_are_reported_with_a_remedy(fault: str) -> None:
     assert check == next(iter(found))  # no other check fails before it
 
 
+def test_a_ros_that_does_not_start_is_an_error_in_one_line(monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+    """Such as without a folder for its log, or without keys where security is enabled."""
+
+    def refuse(**_: Any) -> None:
+        raise RuntimeError("failed to initialize logging: no folder, at logging.cpp:154\nmore")
+
+    monkeypatch.setattr(rclpy, "init", refuse)
+    for secured, expected in (("false", "logging.cpp:154\n"), ("true", "the keys of this node")):
+        monkeypatch.setenv("ROS_SECURITY_ENABLE", secured)
+        assert main(["doctor", "--plant", "poppy"]) == 2
+        error = capfd.readouterr().err
+        assert "dqwalk: failed to initialize logging: no folder, at" in error
+        assert expected in error
+        assert "Traceback" not in error
+
+
 @pytest.mark.parametrize("late", [True, False], ids=["late", "never"])
 def test_a_phase_that_is_published_is_waited_for(domain: int, monkeypatch: pytest.MonkeyPatch, late: bool) -> None:
     """No walk is under way if its controller says so, and not if nothing was heard from it."""

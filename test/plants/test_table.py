@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from dqwalk_ros.config import Config
 from dqwalk_ros.plants.table import PHYSICS, PLANTS, SIMULATORS, entry, plant_type
-from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.support.errors import ConfigError, PlantError
+from dqwalk_ros.walks.table import walk_type
 
 OWN = '''
 from pathlib import Path
@@ -53,6 +55,19 @@ def test_every_plant_of_the_table_can_be_made_or_names_its_node() -> None:
 def test_what_is_no_plant_is_an_error(name: str) -> None:
     with pytest.raises(PlantError, match=name):
         plant_type(name)
+
+
+@pytest.mark.parametrize("body", ["raise RuntimeError('broken')", "1 / 0", "class Own(:", "import no_such_module"])
+def test_a_module_that_cannot_be_imported_is_an_error(
+    body: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As that of MuJoCo, where MUJOCO_GL names no library."""
+    (tmp_path / "broken_module.py").write_text(body, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlantError, match=r"'broken_module:Own' cannot be imported: ."):
+        plant_type("broken_module:Own")
+    with pytest.raises(ConfigError, match=r"'broken_module:Own'; the class cannot be imported: ."):
+        walk_type(Config().updated({"gait.walk": "broken_module:Own"}))
 
 
 @pytest.mark.parametrize("command", ["simulate", pytest.param("walk", marks=pytest.mark.long)])
