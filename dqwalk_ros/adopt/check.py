@@ -13,6 +13,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import gravity_torques
+from dqwalk_ros.plants.table import entry
 from dqwalk_ros.robot.model import RobotModel, find_urdf
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.robot.shapes import Shapes
@@ -20,8 +21,9 @@ from dqwalk_ros.robot.standing_limits import Finding, servo_findings
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.walks.footsteps import Footsteps
+from dqwalk_ros.walks.table import make_controller
 
-__all__ = ["check"]
+__all__ = ["check", "require_usable"]
 
 
 _BELOW = 0.012
@@ -47,6 +49,19 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
         found += [*_com(config, model, q), *servo_findings(config, model), *_torque(config, model, q)]
         found += _step(config, model, q)
     return found
+
+
+def require_usable(config: Config, model: RobotModel) -> None:
+    """Check that a walk can be made, and that there is its plant, so that what can be checked can be used.
+
+    Raises
+    ------
+    ConfigError, PlantError
+        As `walks.table.make_controller` and `plants.table.entry`.
+    """
+    make_controller(config, model)
+    if config.plant.name:
+        entry(config.plant.name)
 
 
 def _posture(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:

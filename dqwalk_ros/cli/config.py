@@ -69,10 +69,11 @@ def config(
 
 def _check(name: str, made: Config) -> int:
     """Print the parameters that do not fit the robot; return 1 if there are any."""
-    from dqwalk_ros.adopt.check import check
+    from dqwalk_ros.adopt.check import check, require_usable
     from dqwalk_ros.robot.model import load_model
 
     model = load_model(made.robot)
+    require_usable(made, model)
     for repair in model.repairs:
         print(f"repaired: {repair}")
     findings = check(made, model)

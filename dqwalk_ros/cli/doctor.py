@@ -51,11 +51,12 @@ def doctor(
     Listens to its topics without moving anything, and prints the result of each check; for a check that failed, also
     what to do. docs/hardware.md leads from a boxed robot to a first step. Exit code 1 if a check failed.
     """
-    from dqwalk_ros.adopt.check import check
+    from dqwalk_ros.adopt.check import check, require_usable
     from dqwalk_ros.robot.model import load_model
 
     made = config_of(config, changes, plant=plant, params=params)
     model = load_model(made.robot)
+    require_usable(made, model)
     findings = check(made, model)
     print(f"{model.name}: {model.n} joints, configuration '{config}', plant {plant}")
     for finding in findings:

@@ -212,7 +212,9 @@ class RobotModel:
             try:
                 angle = float(text)
             except ValueError:
-                raise ConfigError(f"{key} has '{entry}'; it must be JOINT{between}RADIANS") from None
+                angle = math.nan
+            if not math.isfinite(angle):
+                raise ConfigError(f"{key} has '{entry}'; it must be JOINT{between}RADIANS")
             q[self.matching(name.strip(), key)] = angle
         return q
 
