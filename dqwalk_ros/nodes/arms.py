@@ -30,10 +30,14 @@ class ArmInput:
     ----------
     controller : VelocityController
         Of a standing or dynamic walk with ``arms.joints``.
+    time_of : callable
+        Returns the time of the walk [s] of a stamp [ns].
     """
 
-    def __init__(self, node: WalkNode, controller: VelocityController, odometry: Odometry) -> None:
-        self._node, self._controller, self._odometry = node, controller, odometry
+    def __init__(
+        self, node: WalkNode, controller: VelocityController, odometry: Odometry, time_of: Callable[[int], float]
+    ) -> None:
+        self._node, self._controller, self._odometry, self._time_of = node, controller, odometry, time_of
         self._rejected: Counter[str] = Counter()
         node.listen(JointTrajectory, TRAJECTORY, partial(self._take, TRAJECTORY, self._follow), 10)
         for side in self._arms.hands:
@@ -65,7 +69,7 @@ class ArmInput:
                     f"point {k} has {len(q)} positions and {len(v)} velocities for {len(msg.joint_names)} joints"
                 )
         known = velocities if velocities and velocities[0] else None
-        self._arms.follow(list(msg.joint_names), times, angles, known, 1e-9 * stamp if stamp else None)
+        self._arms.follow(list(msg.joint_names), times, angles, known, self._time_of(stamp) if stamp else None)
 
     def _reach(self, side: str, msg: PoseStamped) -> None:
         frame, pose = msg.header.frame_id, ros.checked_pose(msg, "the pose")

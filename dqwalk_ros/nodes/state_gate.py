@@ -327,7 +327,11 @@ class StateGate:
         self._offset, self.stepped = self._offset + step, 1e-9 * step
         self._q, self._stamp = q, stamp
         self.watchdog.feed()
-        return dataclasses.replace(state, time=1e-9 * (stamp - self._offset))
+        return dataclasses.replace(state, time=self.time_of(stamp))
+
+    def time_of(self, stamp: int) -> float:
+        """Return the time of the walk [s] of a stamp [ns], by the clock of the last accepted state."""
+        return 1e-9 * (stamp - self._offset)
 
     def _elapsed(self, stamp: int) -> int:
         """Return the time since the last accepted state, until one with a stamp [ns]: by receipt if a clock was set."""

@@ -333,6 +333,20 @@ def test_single_wrong_stamps_of_states_cost_one_state_each(make: Any, off: float
     assert one.out[KNEE] - POSTURE[KNEE] == pytest.approx(DT * 0.1 * 40)
 
 
+def test_the_command_to_stay_is_repeated_for_a_second(make: Any) -> None:
+    """Because a message may be lost; then no more, because the robot may be moved by hand."""
+    one = Driven(make)
+    one.one.clock.now += 1000.0
+    for _ in range(5):
+        one.tick(0.1)
+    begun, times = len(one.sent), []
+    for _ in range(round(1.5 / DT)):
+        one.tick()
+        times += [one.now] * (len(one.sent) > begun + len(times))
+    assert np.diff(times).max() < 1.5 * DT
+    assert times[-1] - times[0] == pytest.approx(1.0 - one.config.plant.command_timeout, abs=3 * DT)
+
+
 def test_lost_time_is_not_made_up_for(make: Any) -> None:
     one = Driven(make)
     one.tick(0.1)

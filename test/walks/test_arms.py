@@ -329,3 +329,23 @@ def test_the_topics_command_the_arms_and_name_what_they_refuse(make: Any) -> Non
         bad()
         assert reason in node.log
     assert node.node._arms.values() == {"left_hand_target rejected": 5, "arm_trajectory rejected": 2}
+
+
+def test_a_trajectory_begins_by_the_clock_of_the_states_after_it_was_set(make: Any) -> None:
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    from dqwalk_ros.nodes import messages as ros
+
+    config = CONFIG.updated({"plant.lockstep": False})
+    node, robot = make("controller", config), KinematicPlant(MODEL, make_walk(config, MODEL).posture)
+    times = (*(1.0 + config.dt * np.arange(5)), *(3600.0 + config.dt * np.arange(5)))
+    for stamp in times:
+        node.exchange(robot, MODEL, stamp)
+    assert "a clock was set" in node.log
+    point = JointTrajectoryPoint(positions=[-0.1])
+    point.time_from_start.sec = 1
+    msg = JointTrajectory(header=ros.header(round(1e9 * (times[-1] + 0.5))), joint_names=["l_elbow_y"], points=[point])
+    node.send("arm_trajectory", msg)
+    ((_, _, begin),) = node.node._controller.walk.arms._asked
+    walked = node.node._controller.walk.arms._time  # of the last state
+    assert begin - walked == pytest.approx(0.5)
