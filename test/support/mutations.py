@@ -27,6 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TARGETS = {
     "dqwalk_ros/nodes/safety.py": ("nodes/test_safety.py",),
     "dqwalk_ros/nodes/state_gate.py": ("nodes/test_state_gate.py",),
+    "dqwalk_ros/nodes/inertial_sensor.py": ("nodes/test_inertial_sensor.py",),
     "dqwalk_ros/nodes/fall_watch.py": ("faults/test_liars.py",),
     "dqwalk_ros/nodes/answering.py": ("nodes/test_answering.py",),
     "dqwalk_ros/nodes/drive.py": ("nodes/test_drive.py", "faults/test_drive_battery.py"),
@@ -34,6 +35,7 @@ TARGETS = {
     "dqwalk_ros/plants/servo_goals.py": ("plants/test_servo_goals.py",),
     "dqwalk_ros/walks/dynamic/recovery.py": ("walks/test_recovery.py",),
     "dqwalk_ros/estimation/base.py": ("estimation/test_base.py",),
+    "dqwalk_ros/estimation/load.py": ("estimation/test_load.py",),
     "dqwalk_ros/estimation/delay.py": ("estimation/test_delay.py", "plants/test_servo_goals.py"),
     "dqwalk_ros/plants/poppy/dynamixel.py": ("plants/test_poppy_faults.py", "plants/test_poppy.py"),
     "dqwalk_ros/plants/poppy/motor_watch.py": (
