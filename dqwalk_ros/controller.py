@@ -221,7 +221,7 @@ class VelocityController:
         self._history.add(state.time, u, dt)
         effort = self._effort(kin, state, u)
         if effort is not None:
-            effort = self._tau = _within(effort, self._tau, self.model.effort_max)
+            effort = self._tau = _within(effort, self._tau, self._drive.most(u, self.model.effort_max))
         self._u = u
         return Command(state.time, u, effort)
 

@@ -212,6 +212,17 @@ def _adopted(
             f"the legs reach steps of {1e3 * numbers.reach:.1f} mm only: "
             f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
         )
+    if numbers.weak:
+        for name, effort in numbers.weak.items():
+            limit = urdf.joints[name].limit
+            urdf.repairs.append(
+                f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little to stand on one foot: "
+                f"{effort:.3g} N m is assumed"
+            )
+            limit.effort = effort
+        text = urdf.text()
+        model = parse_model(text, robot)
+        numbers = replace(numbers, model=model)
     about = robot_entries(model, anatomy, robot.lock, "those that walk")
     entries = [*about, *parameters(numbers)]
     own, driven = drive_parameters(drives, numbers)

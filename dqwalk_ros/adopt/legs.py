@@ -52,6 +52,20 @@ class Leg:
     middle: Array
     straight: float
 
+    def longest(self, axis: Array, low: float, high: float) -> float:
+        """Return the largest distance of hip and ankle with the knee between two angles [m].
+
+        `axis` (3,) is the knee's, and the leg is in the posture in which the angle of the knee is zero.
+        """
+        angles = np.linspace(max(low, -np.pi), min(high, np.pi), 400)[:, None]
+        shank = self.ankle - self.middle
+        turned = (  # Rodrigues
+            np.cos(angles) * shank
+            + np.sin(angles) * np.cross(axis, shank)
+            + (1.0 - np.cos(angles)) * (axis @ shank) * axis
+        )
+        return float(np.linalg.norm(self.middle + turned - self.hip, axis=1).max())
+
 
 def leg_of(places: Array, axes: Array) -> Leg | None:
     """Return hip, knee and ankle of a leg: the knee's axis is that which is farthest from both ends.

@@ -13,7 +13,7 @@ import numpy as np
 
 from dqwalk_ros.adopt.anatomy import Anatomy
 from dqwalk_ros.adopt.mjcf import MjcfDrive
-from dqwalk_ros.adopt.posture import Standing
+from dqwalk_ros.adopt.posture import Standing, leg_axes
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
@@ -41,6 +41,10 @@ STIFFEST_FALL = 3.0
 """Servo stiffness as a multiple of m g h below which most robots fall."""
 STIFFNESS = 5.0
 """Servo stiffness as a multiple of m g h; below 3 most robots fall."""
+RESERVE = 1.3
+"""Least effort limit of a joint, as a multiple of the torque that it needs to stand on one foot."""
+PRESSURE = 0.25, 0.35
+"""How far the ankles must be able to move the pressure from the middle of a sole, in parts of its length and width."""
 SHORTEST = 1.5
 """Shortest duration of a weight transfer from foot to foot [s]."""
 LONGEST = 0.09
@@ -68,6 +72,8 @@ class Numbers:
         Largest static torque in single support, as a fraction of the effort limit of the joint.
     joint : str
         The joint of `torque`.
+    weak : dict of str to float
+        Joints of the legs whose effort limits are too small to walk, with limits to assume [N m].
     reach : float
         Length of the longest step within the reach of the legs, of those up to `LONGEST` legs [m].
     stuck : tuple of str
@@ -79,17 +85,19 @@ class Numbers:
     standing: Standing
     torque: float
     joint: str
+    weak: Mapping[str, float]
     reach: float
     stuck: tuple[str, ...]
 
     @classmethod
     def of(cls, model: RobotModel, anatomy: Anatomy, standing: Standing, single: Sequence[Array]) -> Numbers:
         """Return the quantities; `single`: postures (n,) with the CoM over the left and the right sole [rad]."""
-        parts: dict[str, float] = {}
+        limits, needed = dict(zip(model.joint_names, model.effort_max.tolist(), strict=True)), dict[str, float]()
         for foot, q in zip(Foot, single, strict=True):
-            share = np.abs(gravity_torques(Kinematics(model, q, foot), both=False)) / model.effort_max
-            known = zip(model.joint_names, share.tolist(), strict=True)
-            parts |= {name: part for name, part in known if name in anatomy.legs[foot]}
+            torques = np.abs(gravity_torques(Kinematics(model, q, foot), both=False)).tolist()
+            known = zip(model.joint_names, torques, strict=True)
+            needed |= {name: torque for name, torque in known if name in anatomy.legs[foot]}
+        parts = {name: torque / limits[name] for name, torque in needed.items()}
         joint = max(parts, key=lambda name: parts[name])
         config = Config().updated({"gait.step_width": rounded(anatomy.apart, 4)})
         steps, length = Footsteps(config, model, standing.q), LONGEST * anatomy.leg
@@ -98,7 +106,8 @@ class Numbers:
             length = max(reach, 0.5 * length)
             reach, again = steps.reach(length)
             stuck = again or stuck
-        return cls(model, anatomy, standing, parts[joint], joint, reach, stuck)
+        weak = _weak(model, anatomy, limits, needed)
+        return cls(model, anatomy, standing, parts[joint], joint, weak, reach, stuck)
 
     @property
     def height(self) -> float:
@@ -158,6 +167,28 @@ class Numbers:
         half = max(0.5 * self.width - self.margin, 1e-3)
         needed = math.sqrt(5.78 * self.anatomy.apart * self.height / (GRAVITY * 0.6 * half))
         return math.ceil(10.0 * max(SHORTEST, needed) - 1e-6) / 10.0
+
+
+def _weak(
+    model: RobotModel, anatomy: Anatomy, limits: Mapping[str, float], needed: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the joints of both legs that are too weak, with effort limits to assume [N m]; see `Numbers`.
+
+    A joint needs `RESERVE` times the torque `needed` to stand on one foot [N m], and each joint below the knee what
+    moves the pressure by the parts `PRESSURE` of the sole from its middle.
+    """
+    sole, load, out = model.soles[Foot.LEFT], model.mass * GRAVITY, dict[str, float]()
+    arms = np.array([PRESSURE[1] * sole.width, PRESSURE[0] * sole.length, 0.0])
+    moving = {
+        model.joint_names[k]: load * float(np.abs(axis) @ arms)
+        for joints, axes, leg in leg_axes(model, anatomy)
+        for k, axis in zip(joints[leg.knee + 1 :], axes[leg.knee + 1 :], strict=True)
+    }
+    for pair in zip(*anatomy.legs.values(), strict=True):
+        standing, pressing = max(needed[name] for name in pair), max(moving.get(name, 0.0) for name in pair)
+        if min(limits[name] for name in pair) < max(RESERVE * standing, pressing):
+            out |= {name: max(limits[name], rounded(max(1.5 * standing, pressing))) for name in pair}
+    return out
 
 
 def rounded(value: float, digits: int = 3) -> float:
@@ -250,7 +281,6 @@ def parameters(numbers: Numbers) -> list[Entry]:
     swing = 1.5
     speed = float(np.min([3.0, *model.velocity_max[np.isfinite(model.velocity_max)]]))
     roll, yaw = anatomy.sideways, anatomy.turns
-    scale = 1.0 if n.torque * 1.3 <= 1.0 else rounded(1.5 * n.torque)
     return [
         Entry("dt", 0.005, "200 Hz", "default"),
         Entry("gait.style", "standing", "the CoM stays over the true soles"),
@@ -300,14 +330,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
             f"a damping ratio of 0.5 for a leg of {n.inertia:.3g} kg m^2",
             "guess",
         ),
-        Entry(
-            "servo.torque_scale",
-            scale,
-            "the effort limits of the URDF"
-            if scale == 1.0
-            else f"{n.joint} needs {n.torque:.2g} times its effort limit of the URDF to stand on one foot",
-            "likely" if scale == 1.0 else "guess",
-        ),
+        Entry("servo.torque_scale", 1.0, "the effort limits of robot.urdf", "likely"),
         Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown", "default"),
     ]
 
@@ -343,7 +366,8 @@ def drive_parameters(drives: Mapping[str, MjcfDrive], numbers: Numbers) -> tuple
     if not legs:
         return {}, []
     stiffness, damping, armature, friction = np.median([dataclasses.astuple(drive) for drive in legs], axis=0).tolist()
-    values = {"servo.armature": rounded(armature), "servo.friction": rounded(friction)}
+    values = {f"servo.{key}": rounded(armature) for key in ("armature", "assumed_armature")}
+    values["servo.friction"] = rounded(friction)
     values = {key: value for key, value in values.items() if value > 0.0}
     if not stiffness > 0.0:
         return values, []

@@ -17,11 +17,13 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["Standing", "over_one_foot", "stand"]
+__all__ = ["Standing", "leg_axes", "over_one_foot", "stand"]
 
 
 _BENT = 0.96
-"""Distance of hip and ankle as a fraction of the straight leg."""
+"""Distance of hip and ankle as a fraction of the largest one within the limits of the knee."""
+_UNBENT = 0.02
+"""Largest difference of the length of a leg from the wanted one, as a fraction of this, in a good posture."""
 _MARGIN = 0.05
 """Least distance of joints from their limits [rad]; a tenth of their range if that is less."""
 _LEVER = 0.3
@@ -50,6 +52,8 @@ class Standing:
         Largest error of the constraints, with angles multiplied by 0.3 leg lengths [m].
     knee : float
         Mean distance of the knees in front of the line from hip to ankle [m].
+    off : float
+        Largest difference of the length of a leg from the wanted one, as a fraction of this.
     """
 
     q: Array
@@ -57,6 +61,7 @@ class Standing:
     pelvis: float
     error: float
     knee: float
+    off: float
 
 
 def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
@@ -67,7 +72,7 @@ def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
     model : RobotModel
         Model with the soles of `anatomy`, whose root link has x forward and z up.
     bend : float
-        Distance of hip and ankle as a fraction of the straight leg.
+        Distance of hip and ankle as a fraction of the largest one within the limits of the knee.
 
     Raises
     ------
@@ -76,7 +81,7 @@ def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
         their limits.
     """
     start, lateral = np.zeros(model.n), Y
-    for joints, axes, leg in _legs(model, anatomy):
+    for joints, axes, leg in leg_axes(model, anatomy):
         start[joints] = bent(axes, leg.knee, lateral)
     found = [_solve(model, anatomy, bend, way * start) for way in (1.0, -1.0)]
     random = np.random.default_rng(0)
@@ -89,8 +94,8 @@ def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
             f"no posture was found with both soles level, {1e3 * anatomy.apart:.0f} mm apart, and the CoM over their "
             f"middle: the error of the best posture is {1e3 * best.error:.1f} mm{_at_limits(model, anatomy, best.q)}"
         )
-    # prefer knees in front of the legs, then the smaller angles
-    return max(good, key=lambda one: (one.knee > 0.0, -float(np.abs(one.q).sum())))
+    # prefer bent legs to stretched ones, in which a search ends as well, knees in front of the legs, and smaller angles
+    return max(good, key=lambda one: (one.off < _UNBENT, one.knee > 0.0, -float(np.abs(one.q).sum())))
 
 
 def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot: Foot) -> tuple[Array, float]:
@@ -119,7 +124,7 @@ def _bounds(model: RobotModel) -> tuple[Array, Array]:
     return model.q_min + margin, model.q_max - margin
 
 
-def _legs(model: RobotModel, anatomy: Anatomy) -> list[tuple[list[int], Array, Leg]]:
+def leg_axes(model: RobotModel, anatomy: Anatomy) -> list[tuple[list[int], Array, Leg]]:
     """Return the k joints of each leg, their axes (k, 3), and the leg, at q = 0 in the frame of the left sole."""
     kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
     of = {body.joint: (link, body.axis) for body, link in zip(model.bodies, model.links, strict=True)}
@@ -145,12 +150,13 @@ def _solve(
 ) -> Standing:
     zero = Kinematics(model, np.zeros(model.n), Foot.LEFT)
     links = {body.joint: link for body, link in zip(model.bodies, model.links, strict=True)}
-    legs = []  # of each: hip on the pelvis, knee, ankle on the foot, as links and points of these; length when straight
-    for joints, _, leg in _legs(model, anatomy):
+    low, high = _bounds(model)
+    legs = []  # of each: hip on the pelvis, knee, ankle on the foot, as links and points of these; greatest length
+    for joints, axes, leg in leg_axes(model, anatomy):
         on = (model.pelvis, leg.hip), (links[joints[leg.knee]], leg.middle), (links[joints[-1]], leg.ankle)
         points = [(link, DQ(zero.pose(link)).conj().transform_point(p)) for link, p in on]
-        legs.append((points, leg.straight))
-    low, high = _bounds(model)
+        knee = joints[leg.knee]
+        legs.append((points, leg.longest(axes[leg.knee], low[knee], high[knee])))
     wanted = (0.0, -0.5 * anatomy.apart) if com is None else com
     right = model.soles[Foot.RIGHT].frame
     lever = _LEVER * anatomy.leg
@@ -171,8 +177,8 @@ def _solve(
     def residual(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
         longer = [
-            float(np.linalg.norm(kin.point(*hip) - kin.point(*ankle))) - bend * straight
-            for (hip, _, ankle), straight in legs
+            float(np.linalg.norm(kin.point(*hip) - kin.point(*ankle))) - bend * longest
+            for (hip, _, ankle), longest in legs
         ]
         return np.concatenate([constraints(q), 0.3 * np.array(longer), weight * (q - rest)])
 
@@ -185,9 +191,10 @@ def _solve(
         ).x
     kin = Kinematics(model, q, Foot.LEFT)
     middle = np.array([0.0, 0.5 * anatomy.apart, 0.0])
-    knees = []
-    for points, _ in legs:
+    knees, off = [], 0.0
+    for points, longest in legs:
         a, b, c = (kin.point(*p) for p in points)
+        off = max(off, abs(float(np.linalg.norm(a - c)) / (bend * longest) - 1.0))
         share = (b[2] - c[2]) / max(a[2] - c[2], 1e-6)
         knees.append(b[0] - (c[0] + share * (a[0] - c[0])))
     return Standing(
@@ -196,4 +203,5 @@ def _solve(
         pelvis=float(kin.point(model.pelvis)[2]),
         error=float(np.abs(constraints(q)).max()),
         knee=float(np.mean(knees)),
+        off=off,
     )

@@ -4,7 +4,7 @@ Physics, the node `drive` (ros2_control) and the driver of Poppy execute it.
 
 1. A measured angle is used if the joint can have reached it since the last accepted one; three impossible ones in a row
    are a fault (`AngleGate`).
-2. Velocities and torques are clamped to the limits of the joints.
+2. Velocities and torques are clamped to the limits of the joints, torques against the damping of servos in addition.
 3. The goal integrates the velocity and is limited to a window around the position at which the command will find the
    joint, the measured one plus the motion commanded within the delay: an integral action with anti-windup, which
    compensates the deflection of a servo under load. With a small window a leg yields to a force that is not fed
@@ -210,8 +210,8 @@ class ServoGoals:
         self._range = np.ascontiguousarray(limits.q_min), np.ascontiguousarray(limits.q_max)  # else compiled again
         self._step = np.maximum(np.broadcast_to(resolution, (n,)), 1e-12)
         self._rate, self._latency = rate, latency
-        full = drive.angles(np.minimum(limits.effort_max, np.finfo(float).max))
-        self._most = np.minimum(full, _MOST_OFFSET)  # of full torques
+        self._full = np.minimum(limits.effort_max, 1e9)  # torques [N m], finite
+        self._most = np.minimum(drive.angles(self._full), _MOST_OFFSET)  # offsets by them [rad]
         self._at, self._side, self._nearest = np.zeros(n), np.zeros(n), np.zeros(n)
         self.runaway, self._ran_away = np.zeros(n, np.bool_), False
         self.active = False
@@ -254,7 +254,8 @@ class ServoGoals:
             Goals that the servos hold now [rad]; those that commands could have set remain until the first command.
         """
         self.gate.forgive()
-        q, offset = self.gate.q.copy(), self._offset_of(np.zeros_like(self.gate.q) if effort is None else effort)
+        q, still = self.gate.q.copy(), np.zeros_like(self.gate.q)
+        offset = self._offset_of(still if effort is None else effort, still)
         self._begin(q, offset)
         if held is not None:
             self.goal = self._sent = np.where(np.abs(held - q) <= self.window + self._most, held, q)
@@ -313,7 +314,7 @@ class ServoGoals:
         if not self.moves(time):
             return False
         if effort is not None:
-            self._offset = self._offset_of(effort)
+            self._offset = self._offset_of(effort, velocity)
         pending = self._history.pending(self.gate.oldest)
         u, self.wanted, self.goal, rounded = _goals(
             self.wanted, velocity, dt, self.gate.q, pending, self.window, *self._range, self._offset,
@@ -336,10 +337,11 @@ class ServoGoals:
             self._sent = self._queue.popleft()[1]
         return self._sent, self._queue[0][0] if self._queue else math.inf
 
-    def _offset_of(self, effort: Array) -> Array:
-        """Return the offsets (n,) of the goals [rad] that produce torques, within the effort limits."""
-        out: Array = np.minimum(np.maximum(self._drive.angles(effort), -self._most), self._most)
-        return out
+    def _offset_of(self, effort: Array, velocity: Array) -> Array:
+        """Return the offsets (n,) of the goals [rad] that produce torques [N m] at velocities [rad/s], both limited."""
+        most = self._drive.most(np.minimum(np.abs(velocity), self._fastest), self._full)
+        out: Array = self._drive.angles(np.minimum(np.maximum(effort, -most), most))
+        return np.minimum(np.maximum(out, -_MOST_OFFSET), _MOST_OFFSET)
 
 
 @jit

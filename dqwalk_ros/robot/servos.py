@@ -246,6 +246,14 @@ class Drive:
         damping = np.maximum(lag - min(delay / _LATE, 1.0) * lead, 0.0)
         return cls(stiffness, damping * stiffness, lead * stiffness, armature, delay)
 
+    def most(self, velocity: Array, limit: Array) -> Array:
+        """Return the largest torque that a command may have at commanded velocities [rad/s], shape (n,) [N m].
+
+        The lead is in addition to the effort limits (n,) [N m]: the damping of the servo takes it away again.
+        """
+        out: Array = limit + self.lead * np.abs(velocity)
+        return out
+
     def angles(self, effort: Array) -> Array:
         """Return the offsets of the goals (n,) [rad] that produce the torques `effort` (n,) [N m]."""
         return effort * self._compliance

@@ -14,14 +14,14 @@ import trimesh
 from robots import edited
 
 from dqwalk_ros import cli
-from dqwalk_ros.adopt import adopt
+from dqwalk_ros.adopt import adopt, posture
 from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.legs import axes_differ, bent, freedom, leg_of
 from dqwalk_ros.adopt.parameters import Numbers, servo_types
 from dqwalk_ros.adopt.picture import _bones
-from dqwalk_ros.adopt.posture import stand
+from dqwalk_ros.adopt.posture import Standing, stand
 from dqwalk_ros.adopt.trial import Trial
 from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -460,6 +460,36 @@ def test_steps_are_as_long_as_the_legs_reach_and_the_joints_in_the_way_are_named
     assert not found.findings
     config = load(tmp_path / "out" / "robot.yaml").updated({"gait.step_length": 0.026})
     assert "the legs reach steps of" in str(check(config, load_model(config.robot))[0])
+
+
+def test_the_knees_of_a_posture_are_bent_further_than_where_their_range_begins() -> None:
+    urdf = Urdf.load(SMALL)
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        limit = urdf.joints[f"{side}_knee"].limit
+        limit.lower, limit.upper = sorted((sign * 0.5, sign * 2.2))
+    model = small_model(urdf)
+    found = stand(model, anatomy_of(urdf))
+    assert (np.abs(found.q[["knee" in name for name in model.joint_names]]) > 0.7).all()
+
+
+def test_bent_legs_are_preferred_to_stretched_ones_with_smaller_angles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Knees in front of the line from hip to ankle are in front of stretched legs as well, where a search ends too."""
+    model = small_model(Urdf.load(SMALL))
+    ends = ((0.3, 0.0), (0.01, 0.036))
+    postures = [Standing(np.full(model.n, q), np.zeros(3), 0.3, error=0.0, knee=0.02, off=off) for q, off in ends]
+    monkeypatch.setattr(posture, "_solve", lambda *_: postures.pop(0))
+    assert stand(model, anatomy_of(Urdf.load(SMALL))).q[0] == 0.3
+
+
+def test_efforts_too_small_to_stand_are_replaced_and_named(tmp_path: Path) -> None:
+    weak = r'(name="._ankle_roll".*?effort=)"[^"]*"', r'\1"0.1"'
+    found = adopt(edited(tmp_path, SMALL, weak), tmp_path / "out")
+    limits = dict(zip(found.model.joint_names, found.model.effort_max, strict=True))
+    width, load = found.config.robot.sole_width, 9.80665 * found.model.mass
+    assert limits["l_ankle_roll"] == limits["r_ankle_roll"] == pytest.approx(0.35 * width * load, rel=0.01)
+    assert limits["l_knee"] == 4.1
+    assert sum("'l_ankle_roll' has an effort limit of 0.1 N m, too little" in text for text in found.repairs) == 1
+    assert found.config.servo.torque_scale == 1.0
 
 
 def test_a_posture_that_is_not_found_names_the_joints_at_their_limits(tmp_path: Path) -> None:

@@ -95,11 +95,12 @@ def test_limits_efforts_drives_and_shapes_are_those_of_the_file() -> None:
 def test_position_gains_are_the_stiffness_unless_they_are_too_soft_to_stand(tmp_path: Path) -> None:
     found = adopt(SMALL, tmp_path)
     servo = load(tmp_path / "robot.yaml").servo
-    assert (servo.stiffness, servo.assumed_stiffness, servo.armature, servo.friction) == (70.0, 70.0, 0.005, 0.02)
+    assert (servo.stiffness, servo.assumed_stiffness, servo.friction) == (70.0, 70.0, 0.02)
+    assert (servo.armature, servo.assumed_armature) == (0.005, 0.005)
     assert servo.damping == pytest.approx(1.4 / 70.0, rel=0.01)
     soft = dict.fromkeys(found.anatomy.legs[Foot.LEFT], MjcfDrive(7.0, 0.2, 0.005, 0.0))
     values, (entry,) = drive_parameters(soft, found.numbers)
-    assert values == {"servo.armature": 0.005}
+    assert values == {"servo.armature": 0.005, "servo.assumed_armature": 0.005}
     assert (entry.value.split(",")[0], entry.confidence) == ("7 N m/rad", "guess")
 
 

@@ -122,6 +122,20 @@ def test_a_torque_moves_a_goal_no_further_than_the_limits_and_no_faster_than_the
         np.testing.assert_allclose(law.goal, np.clip(POSTURE + offset, MODEL.q_min, MODEL.q_max), atol=1e-12)
 
 
+def test_a_torque_against_the_damping_of_a_servo_is_not_part_of_its_limit() -> None:
+    """What the servo itself subtracts at the commanded velocity: the motor has no more than its limit."""
+    law = law_of(settings(assumed_lead=0.05, window=1.0))
+    speed = np.zeros(N)
+    speed[KNEE] = 2.0
+    effort = MODEL.effort_max + 100.0
+    for k in range(100):
+        law.measure(POSTURE, k * DT)
+        assert law.command(speed, effort, k * DT, DT)
+    offset = law.goal - law.wanted
+    np.testing.assert_allclose(offset[KNEE], MODEL.effort_max[KNEE] / 60.0 + 0.05 * 2.0, atol=1e-9)
+    np.testing.assert_allclose(offset[KNEE + 1], MODEL.effort_max[KNEE + 1] / 60.0, atol=1e-9)
+
+
 def test_without_torques_a_command_keeps_those_of_the_last() -> None:
     law = law_of()
     for k, torque in enumerate((1.0, None)):

@@ -236,7 +236,8 @@ class PoppyPlant(Plant):
             stiffness[:] = 0.0
         speed, effort = np.append(model.velocity_max, fastest[n:]), np.append(model.effort_max, stall[n:])
         limits = JointLimits(self.names, low, high, speed, effort)
-        self._law = ServoGoals(self._gate, replace(drive, stiffness=stiffness), limits, own.max_lead)
+        drive = replace(drive, stiffness=stiffness, lead=np.append(drive.lead, np.zeros(every - n)))
+        self._law = ServoGoals(self._gate, drive, limits, own.max_lead)
 
         buses = buses if buses is not None else open_buses(self.motors, types, own, clock)
         place = {(motor.bus, motor.id): k for k, motor in enumerate(self._table)}
