@@ -75,7 +75,7 @@ class Odometry:
             self._send_transforms = None
         elif base not in links and (send := _sender(node, "/tf_static", ros.latched())) is not None:
             send([_transform(0, base, model.root, DQ(1.0))])
-        self._window: deque[tuple[int, DQ]] = deque()  # stamps [ns] and poses of the base
+        self._window: deque[tuple[float, DQ]] = deque()  # times [s] and poses of the base
         self._origin, self._last, self.base_sole = DQ(1.0), DQ(1.0), DQ(1.0)
         self._restarted = False
         self._steps = 0
@@ -111,7 +111,7 @@ class Odometry:
         Parameters
         ----------
         stamp : int
-            Of the state [ns].
+            Of the state [ns]. Its time, which does not jump with a clock that is set, is that of all computations.
         kin : Kinematics
             At that state.
         x_base : DQ
@@ -121,12 +121,13 @@ class Odometry:
         loads : ndarray, shape (2,), optional
             Vertical forces on the left and on the right sole [N].
         """
-        passed = stamp - self._window[-1][0] if self._window else 1
-        if self._estimated is not None and not 0 < passed <= _TIMEOUT * 1e9:
+        time = state.time
+        passed = time - self._window[-1][0] if self._window else _TIMEOUT  # then there is nothing to forget
+        if self._estimated is not None and not 0.0 < passed <= _TIMEOUT:
             self._continue()
-        if passed <= 0:
-            self._window.clear()  # the plant's clock was set back
-        e = self._estimate(stamp, state, kin, both=both, loads=loads)
+        if passed <= 0.0:
+            self._window.clear()  # the plant has restarted
+        e = self._estimate(state, kin, both=both, loads=loads)
         if self._window and (e is None) is not (self._estimated is None):
             self._restarted = True  # the pose of the legs has another origin
         self._estimated = e
@@ -137,8 +138,8 @@ class Odometry:
             self._origin, self._restarted = self._last * x_link.conj(), False
         self.base_sole = self._origin * walk_base
         x = self._last = self._origin * x_link
-        self._window.append((stamp, x))
-        while len(self._window) > 2 and stamp - self._window[1][0] >= self._config.window * 1e9:
+        self._window.append((time, x))
+        while len(self._window) > 2 and time - self._window[1][0] >= self._config.window - 1e-6:
             self._window.popleft()
         if self._poses.get_subscription_count():
             pose = (self._origin * DQ(x_pelvis)).vec8()
@@ -149,16 +150,14 @@ class Odometry:
             x_root = self._origin * walk_base * DQ(kin.pose(self._model.root))
             self._send_transforms(self._frames(stamp, x_root, x))
 
-    def _estimate(
-        self, stamp: int, state: State, kin: Kinematics, *, both: bool, loads: Array | None
-    ) -> BaseEstimate | None:
+    def _estimate(self, state: State, kin: Kinematics, *, both: bool, loads: Array | None) -> BaseEstimate | None:
         """Return the estimate at a state; None without an inertial sensor that can be believed."""
         if state.gyro is None or state.acceleration is None or self._astray >= _RESTARTS:
             return None
         try:
             with np.errstate(all="ignore"):
                 felt = state.gyro, state.acceleration
-                estimate = self._estimator.update(1e-9 * stamp, kin, *felt, both=both, loads=loads)
+                estimate = self._estimator.update(state.time, kin, *felt, both=both, loads=loads)
             if not self._estimator.astray and math.isfinite(sum(estimate.pose.tolist())):
                 return estimate
         except np.linalg.LinAlgError:
@@ -195,9 +194,8 @@ class Odometry:
         (t0, x0), (t1, x1) = self._window[0], self._window[-1]
         if t1 == t0:
             return np.zeros(6)
-        passed = 1e-9 * (t1 - t0)
         moved = x1.rotation_matrix().T @ (x1.translation() - x0.translation())
-        return np.concatenate([moved, (x0.conj() * x1).rotation_vector()]) / passed
+        return np.concatenate([moved, (x0.conj() * x1).rotation_vector()]) / (t1 - t0)
 
     def _frames(self, stamp: int, x_root: DQ, x: DQ) -> list[TransformStamped]:
         """Return the transforms on /tf, from the poses in odom of the URDF's root and of the base."""

@@ -53,6 +53,20 @@ IMU: dict[str, Callable[[Inertial], Inertial]] = {
 }
 
 
+def test_a_clock_that_is_set_does_not_move_the_odometry(make: Any) -> None:
+    """An estimate that integrates an acceleration for the step of the clock is 5 cm off after 0.3 s."""
+    config = DYNAMIC.updated({"plant.lockstep": False})
+    node, plant = make("controller", config), make_plant("physics", config, MODEL)
+    places, velocities = [], []
+    for k in range(90):
+        node.exchange(plant, MODEL, 100.0 + k * config.dt + (0.3 if k >= 70 else 0.0))
+        places.append(node.node._odometry._last.translation())
+        velocities.append(node.node._odometry._velocity()[:3])
+    assert "a clock was set" in node.log
+    assert np.abs(np.diff(places, axis=0)).max() < 2e-3
+    assert np.abs(velocities[20:]).max() < 0.3
+
+
 def velocity(speed: float) -> Callable[[JointState], list[JointState]]:
     def glitch(msg: JointState) -> list[JointState]:
         msg.velocity[3] = speed
