@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, direction
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
@@ -21,13 +24,15 @@ def gravity_torques(kin: Kinematics, *, both: bool) -> Array:
     return ground_torques(kin, kin.model.mass * GRAVITY * kin.up, kin.com_on_ground, both=both)
 
 
-def ground_torques(kin: Kinematics, force: Array, pressure: Array, *, both: bool) -> Array:
+def ground_torques(
+    kin: Kinematics, force: Array, pressure: Array, *, both: bool, at: Mapping[Foot, Array] | None = None
+) -> Array:
     """Return the joint torques for which the ground applies a given force at the CoM, shape (n,) [N m].
 
     With both feet on the ground the other sole carries the fraction w of the force F at a point p_o, the base sole the
     fraction 1 - w at p_b, and both the same fractions of the remaining moment m. The fraction w is the position of the
-    centre of pressure between the soles, and p_o and p_b are as far ahead of the soles' centres as the centre of
-    pressure is. By virtual work, with the base sole at rest,
+    centre of pressure between the points `at`, and p_o and p_b are as far ahead of these as the centre of pressure is.
+    By virtual work, with the base sole at rest,
 
         tau = F.J_CoM - w (F.J_po + m.J_omega),    m = (c - (1 - w) p_b - w p_o) x F
 
@@ -40,20 +45,22 @@ def ground_torques(kin: Kinematics, force: Array, pressure: Array, *, both: bool
         Centre of pressure on the ground [m].
     both : bool
         Whether both feet are on the ground.
+    at : mapping of Foot to ndarray, shape (3,), optional
+        Point of each sole, in its frame, on which it carries all of the force [m]; by default its centre.
     """
     tau: Array = force @ kin.com_jacobian
     if both:
         base, other = (kin.model.soles[foot] for foot in (kin.base, kin.base.other))
-        a, b = base.center, kin.point(other.frame, other.center)
-        moves, x_other = kin.tree.moves[kin.tree.frames[other.frame][0]], kin.pose(other.frame)
-        half = 0.5 * min(base.length, other.length)
+        a, b = (base.center, other.center) if at is None else (at[kin.base], at[kin.base.other])
+        b, moves = kin.point(other.frame, b), kin.tree.moves[kin.tree.frames[other.frame][0]]
+        x_other, half = kin.pose(other.frame), 0.5 * min(base.length, other.length)
         tau -= borne_by_other(force, pressure, kin.com, a, b, half, x_other, kin.lines, moves)
     return tau
 
 
 @jit
 def share(pressure: Array, a: Array, b: Array) -> float:
-    """Return the fraction of the load on the sole centred at `b` (3,); the sole at `a` (3,) carries the rest.
+    """Return the fraction of the load at the point `b` (3,) of a sole; that at `a` (3,) carries the rest.
 
     It is the position of the projected `pressure` (2,) on the line from `a` (0) to `b` (1), clipped to [0, 1].
     """
@@ -69,7 +76,7 @@ def borne_by_other(
 ) -> Array:  # fmt: skip
     """Return w (F.J_po + m.J_omega) of `ground_torques`, shape (n,) [N m].
 
-    `a` and `b` (3,) are the centres of the base sole and of the other sole, `half` is half of their length [m],
+    `a` and `b` (3,) are the points `at` of the base sole and of the other sole, `half` is half of their length [m],
     `x_other` (8,) the pose of the other sole, and `moves` (n,) the joints that move it.
     """
     w = share(pressure, a, b)

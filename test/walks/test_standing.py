@@ -134,26 +134,32 @@ def test_gravity_torques_are_the_derivative_of_the_potential() -> None:
     assert tau == pytest.approx(MODEL.mass * 9.80665 * height, abs=1e-5)
 
 
-def test_ground_torques_are_weighted_by_the_load_of_each_sole() -> None:
-    """Mean of two models, one per base sole, weighted by load; the other sole is a point with its part of the force."""
+@pytest.mark.parametrize("inside", [0.0, 0.01])
+def test_ground_torques_are_weighted_by_the_load_of_each_sole(inside: float) -> None:
+    """Mean of two models, one per base sole, weighted by load; the other sole is a point with its part of the force.
+
+    The points on which the soles carry all of it may be inside their centres.
+    """
     X = np.array([1.0, 0.0, 0.0])
+    aside = {foot: np.array([0.0, inside * (1.0 if foot is Foot.RIGHT else -1.0), 0.0]) for foot in Foot}
+    at = {foot: MODEL.soles[foot].center + aside[foot] for foot in Foot}
 
     def seen_from(base: Foot, q: np.ndarray, force: np.ndarray, share: float, ahead: float) -> np.ndarray:
         kin, sole = Kinematics(MODEL, q, base), MODEL.soles[base.other]
-        point = sole.center + np.clip(ahead, -0.5 * sole.length, 0.5 * sole.length) * X
+        point = at[base.other] + np.clip(ahead, -0.5 * sole.length, 0.5 * sole.length) * X
         return force @ (kin.com_jacobian - share * kin.point_jacobian(sole.frame, point))
 
     rng, shares = np.random.default_rng(0), []
     for _ in range(20):
         q, force, p = somewhere(7), rng.normal(size=3) * [2.0, 3.0, 26.0], rng.normal(size=2) * [0.08, 0.06] - [0, 0.05]
         kin, other = Kinematics(MODEL, q, Foot.LEFT), MODEL.soles[Foot.RIGHT]
-        a, b = MODEL.soles[Foot.LEFT].center[:2], kin.point(other.frame, other.center)[:2]
+        a, b = at[Foot.LEFT][:2], kin.point(other.frame, at[Foot.RIGHT])[:2]
         share = float(np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0))
-        aside = p - a - share * (b - a)
+        beside = p - a - share * (b - a)
         turned = np.array([force @ kin.direction(other.frame, e) for e in np.eye(3)])
-        from_left = seen_from(Foot.LEFT, q, force, share, aside @ kin.direction(other.frame, X)[:2])
-        from_right = seen_from(Foot.RIGHT, q, turned, 1.0 - share, aside[0])
-        tau = ground_torques(kin, force, p, both=True)
+        from_left = seen_from(Foot.LEFT, q, force, share, beside @ kin.direction(other.frame, X)[:2])
+        from_right = seen_from(Foot.RIGHT, q, turned, 1.0 - share, beside[0])
+        tau = ground_torques(kin, force, p, both=True, at=at if inside else None)
         assert tau == pytest.approx((1.0 - share) * from_left + share * from_right, abs=1e-12)
         shares.append(share)
     assert 0.0 < np.median(shares) < 1.0

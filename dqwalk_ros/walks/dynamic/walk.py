@@ -60,8 +60,8 @@ _CONFIRMED = 0.015
 """Time above the threshold after which a step is adjusted, to reject measurement noise; at least one state [s]."""
 _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
-_AHEAD_OF_DELAY = 0.5
-"""Part of the delay by which the reference of the CoM is ahead; without it the weight is transferred late, and with all
+_AHEAD_OF_DELAY = 0.75
+"""Part of the delay by which the reference of the CoM is ahead; with less the weight is transferred late, and with all
 of it a bus at 50 Hz tilts the soles."""
 _LATERAL = 0.9
 """Least lateral part of the axis of a joint that pitches the trunk."""
@@ -138,6 +138,7 @@ class DynamicWalk(SteppingWalk):
         self._rests = False  # whether a stance has brought the CoM to rest
         self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
+        self._alone: dict[Foot, Array] = {}  # the point of each sole on which it carries all of the force
         self._legs = np.zeros(model.n, dtype=np.bool_)  # whether a joint is between the base sole and the pelvis
 
     @staticmethod
@@ -456,6 +457,7 @@ class DynamicWalk(SteppingWalk):
         self._support = ConvexPolygon.hull(corners).edges()
         tree = kin.tree
         self._legs = tree.moves[tree.frames[self.model.pelvis][0]]
+        self._alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
 
     def _transfer_reference(self, phase: Phase, other: Footprint, rule: Timed, before: Phase | None) -> Reference:
         """Return the reference of a double support, which ends on the foot at `other`."""
@@ -544,7 +546,7 @@ class DynamicWalk(SteppingWalk):
         m, f, up = self._mass, self._force, kin.up
         both = phase.kind is not PhaseKind.SINGLE_SUPPORT
         z = self._now.pressure
-        tau = ground_torques(kin, m * f, z, both=both)
+        tau = ground_torques(kin, m * f, z, both=both, at=self._alone)
         tau += m * leg_torques(kin.lines, kin.com, kin.com_jacobian, self._legs, z, f, GRAVITY * up)
         acceleration = self._accelerated(state.time, u)
         if not both:
