@@ -30,7 +30,7 @@ from dqwalk_ros.adopt.parameters import (
     servo_types,
     whole_body_parameters,
 )
-from dqwalk_ros.adopt.posture import over_one_foot, stand
+from dqwalk_ros.adopt.posture import at_limits, over_one_foot, stand
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -200,11 +200,11 @@ def _adopted(
     progress(0.3, "finding its postures")
     standing = stand(model, anatomy)
     single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
-    deviation = max(error for _, error in single)
+    worst, deviation = max(single, key=lambda one: one[1])
     if deviation > 0.25 * sole.width + 0.005:
         raise ModelError(
             f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance from its "
-            f"middle is {1e3 * deviation:.0f} mm"
+            f"middle is {1e3 * deviation:.0f} mm{at_limits(model, anatomy, worst)}"
         )
     numbers = Numbers.of(model, anatomy, standing, [q for q, _ in single])
     if numbers.step < _SHORTEST * anatomy.leg:

@@ -17,7 +17,7 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["Standing", "leg_axes", "over_one_foot", "stand"]
+__all__ = ["Standing", "at_limits", "leg_axes", "over_one_foot", "stand"]
 
 
 _BENT = 0.96
@@ -92,7 +92,7 @@ def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
         best = min(found, key=lambda one: one.error)
         raise ModelError(
             f"no posture was found with both soles level, {1e3 * anatomy.apart:.0f} mm apart, and the CoM over their "
-            f"middle: the error of the best posture is {1e3 * best.error:.1f} mm{_at_limits(model, anatomy, best.q)}"
+            f"middle: the error of the best posture is {1e3 * best.error:.1f} mm{at_limits(model, anatomy, best.q)}"
         )
     # prefer bent legs to stretched ones, in which a search ends as well, knees in front of the legs, and smaller angles
     return max(good, key=lambda one: (one.off < _UNBENT, one.knee > 0.0, -float(np.abs(one.q).sum())))
@@ -105,7 +105,7 @@ def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot:
     return best.q, best.error
 
 
-def _at_limits(model: RobotModel, anatomy: Anatomy, q: Array) -> str:
+def at_limits(model: RobotModel, anatomy: Anatomy, q: Array) -> str:
     """Return what keeps a posture (n,) [rad] from being better, as the end of a message."""
     low, high = _bounds(model)
     stuck = [
