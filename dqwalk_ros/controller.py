@@ -221,7 +221,7 @@ class VelocityController:
         self._history.add(state.time, u, dt)
         effort = self._effort(kin, state, u)
         if effort is not None:
-            effort = self._tau = _within(effort, self._tau, self._drive.most(u, self.model.effort_max))
+            effort = self._tau = _within(effort, self._tau, self.model.effort_max)
         self._u = u
         return Command(state.time, u, effort)
 
@@ -234,10 +234,10 @@ class VelocityController:
         return State(state.time, state.q, dq, up, state.gyro, state.acceleration, state.effort)
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
-        """Return the feedforward torques (n,) [N m], including lead and damping; None without an inertial sensor."""
+        """Return the feedforward torques (n,) [N m], including damping; None without an inertial sensor."""
         if state.up is None:
             return None
-        effort = self._active.effort(self.phase, kin, state, u) + self._drive.lead * u
+        effort = self._active.effort(self.phase, kin, state, u)
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
 
     def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, float, Evaluation]:

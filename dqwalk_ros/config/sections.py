@@ -326,7 +326,9 @@ class ServoConfig:
     assumed_damping: float = parameter(
         0.0, "damping assumed, divided by the stiffness; above the true one the robot falls", "s", 0.0, 0.2
     )
-    assumed_lead: float = parameter(0.0, "torque fed forward per velocity; larger: less lag", "s", 0.0, 0.2)
+    assumed_lead: float = parameter(
+        0.0, "time by which goals are ahead where torques are fed forward; larger: less lag", "s", 0.0, 0.2
+    )
     assumed_armature: float = parameter(
         0.01, "assumed inertia of the rotor; larger: more torque to swing a leg", "kg m^2", 0.0, 1.0
     )

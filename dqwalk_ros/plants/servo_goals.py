@@ -4,13 +4,14 @@ Physics, the node `drive` (ros2_control) and the driver of Poppy execute it.
 
 1. A measured angle is used if the joint can have reached it since the last accepted one; three impossible ones in a row
    are a fault (`AngleGate`).
-2. Velocities and torques are clamped to the limits of the joints, torques against the damping of servos in addition.
+2. Velocities and torques are clamped to the limits of the joints.
 3. The goal integrates the velocity and is limited to a window around the position at which the command will find the
    joint, the measured one plus the motion commanded within the delay: an integral action with anti-windup, which
    compensates the deflection of a servo under load. With a small window a leg yields to a force that is not fed
    forward, such as that of a stone under its sole.
-4. Feedforward torques are converted to an offset of the goal by the assumed stiffness of the servos. The sum stays
-   within the range of the joint and moves no faster than the joint can.
+4. Feedforward torques are converted to an offset of the goal by the assumed stiffness of the servos. Where they are
+   known, the goal is ahead by the lag of a damped servo, too. The sum stays within the range of the joint and moves no
+   faster than the joint can.
 5. Goals are rounded to the steps of the servos, written at the rate of the bus and effective after its latency.
 6. Without recent angles, or after a fault, no command has an effect: the last goal remains.
 7. A joint that moves away from its goal, although its servo has its full torque, is a fault: its motor is in a mode in
@@ -210,8 +211,9 @@ class ServoGoals:
         self._range = np.ascontiguousarray(limits.q_min), np.ascontiguousarray(limits.q_max)  # else compiled again
         self._step = np.maximum(np.broadcast_to(resolution, (n,)), 1e-12)
         self._rate, self._latency = rate, latency
-        self._full = np.minimum(limits.effort_max, 1e9)  # torques [N m], finite
-        self._most = np.minimum(drive.angles(self._full), _MOST_OFFSET)  # offsets by them [rad]
+        full = drive.angles(np.minimum(limits.effort_max, np.finfo(float).max))
+        self._most = np.minimum(full, _MOST_OFFSET)  # of full torques
+        self._ahead = drive.angles(drive.lead)  # [s]
         self._at, self._side, self._nearest = np.zeros(n), np.zeros(n), np.zeros(n)
         self.runaway, self._ran_away = np.zeros(n, np.bool_), False
         self.active = False
@@ -254,15 +256,14 @@ class ServoGoals:
             Goals that the servos hold now [rad]; those that commands could have set remain until the first command.
         """
         self.gate.forgive()
-        q, still = self.gate.q.copy(), np.zeros_like(self.gate.q)
-        offset = self._offset_of(still if effort is None else effort, still)
+        q, offset = self.gate.q.copy(), self._offset_of(np.zeros_like(self.gate.q) if effort is None else effort)
         self._begin(q, offset)
         if held is not None:
             self.goal = self._sent = np.where(np.abs(held - q) <= self.window + self._most, held, q)
         self.active = True
 
     def _begin(self, wanted: Array, offset: Array) -> None:
-        self.wanted, self._offset = wanted, offset
+        self.wanted, self._offset, self._lead = wanted, offset, np.zeros(len(offset))
         self.goal = self._sent = wanted + offset
         self._side[:], self.runaway[:], self._ran_away = 0.0, False, False
         self._history = CommandHistory(self._drive.delay, len(offset))
@@ -314,11 +315,11 @@ class ServoGoals:
         if not self.moves(time):
             return False
         if effort is not None:
-            self._offset = self._offset_of(effort, velocity)
+            self._offset, self._lead = self._offset_of(effort), self._ahead
         pending = self._history.pending(self.gate.oldest)
         u, self.wanted, self.goal, rounded = _goals(
             self.wanted, velocity, dt, self.gate.q, pending, self.window, *self._range, self._offset,
-            self.goal, self._fastest, self._step,
+            self._lead, self.goal, self._fastest, self._step,
         )  # fmt: skip
         self._history.add(time, u, dt)
         if self._rate <= 0.0 or time - self._written >= 1.0 / self._rate - 1e-9:
@@ -337,11 +338,10 @@ class ServoGoals:
             self._sent = self._queue.popleft()[1]
         return self._sent, self._queue[0][0] if self._queue else math.inf
 
-    def _offset_of(self, effort: Array, velocity: Array) -> Array:
-        """Return the offsets (n,) of the goals [rad] that produce torques [N m] at velocities [rad/s], both limited."""
-        most = self._drive.most(np.minimum(np.abs(velocity), self._fastest), self._full)
-        out: Array = self._drive.angles(np.minimum(np.maximum(effort, -most), most))
-        return np.minimum(np.maximum(out, -_MOST_OFFSET), _MOST_OFFSET)
+    def _offset_of(self, effort: Array) -> Array:
+        """Return the offsets (n,) of the goals [rad] that produce torques, within the effort limits."""
+        out: Array = np.minimum(np.maximum(self._drive.angles(effort), -self._most), self._most)
+        return out
 
 
 @jit
@@ -394,12 +394,12 @@ def _find_runaways(q, goal, most, side, nearest, runaway):  # type: ignore[no-un
 
 @jit
 def _goals(  # type: ignore[no-untyped-def]
-    wanted, velocity, dt, q, pending, window, lower, upper, offset, goal, fastest, step
+    wanted, velocity, dt, q, pending, window, lower, upper, offset, lead, goal, fastest, step
 ):
     """Return velocities within their limits [rad/s], and after one period the commanded positions [rad].
 
-    These are without and with the offsets, and the latter rounded; all have the shape (n,). The command will find the
-    joints at q + `pending`. A joint outside its range may only move towards it.
+    These are without and with the offsets and the lead [s], and the latter rounded; all have the shape (n,). The command
+    will find the joints at q + `pending`. A joint outside its range may only move towards it.
     """
     u, moved, shifted, rounded = np.empty((4, wanted.shape[0]))
     for i in range(wanted.shape[0]):
@@ -408,6 +408,6 @@ def _goals(  # type: ignore[no-untyped-def]
         near = min(max(wanted[i] + dt * u[i], expected - window), expected + window)
         moved[i] = min(max(near, low), high)
         least, most = goal[i] - dt * fastest[i], goal[i] + dt * fastest[i]
-        shifted[i] = min(max(min(max(moved[i] + offset[i], low), high), least), most)
+        shifted[i] = min(max(min(max(moved[i] + offset[i] + lead[i] * u[i], low), high), least), most)
         rounded[i] = np.rint(shifted[i] / step[i]) * step[i]
     return u, moved, shifted, rounded

@@ -202,7 +202,8 @@ class Drive:
         Torque per joint velocity that is fed back, less the part that the lead compensates where it would act late
         [N m s/rad].
     lead : ndarray, shape (n,)
-        Feedforward torque per commanded velocity, which compensates the lag of a damped servo [N m s/rad].
+        Torque per commanded velocity by which the goal is ahead: that by the damping of a servo, so that it does not lag
+        [N m s/rad]. It is in addition to a command's torques and to their limits, as the servo takes it away again.
     armature : ndarray, shape (n,)
         Inertia of the rotor, reflected through the gears [kg m^2].
     delay : float
@@ -245,14 +246,6 @@ class Drive:
         delay = c.assumed_latency + 0.5 * period + max(float((lag - lead).mean()), 0.0)
         damping = np.maximum(lag - min(delay / _LATE, 1.0) * lead, 0.0)
         return cls(stiffness, damping * stiffness, lead * stiffness, armature, delay)
-
-    def most(self, velocity: Array, limit: Array) -> Array:
-        """Return the largest torque that a command may have at commanded velocities [rad/s], shape (n,) [N m].
-
-        The lead is in addition to the effort limits (n,) [N m]: the damping of the servo takes it away again.
-        """
-        out: Array = limit + self.lead * np.abs(velocity)
-        return out
 
     def angles(self, effort: Array) -> Array:
         """Return the offsets of the goals (n,) [rad] that produce the torques `effort` (n,) [N m]."""
