@@ -398,8 +398,8 @@ def _goals(  # type: ignore[no-untyped-def]
 ):
     """Return velocities within their limits [rad/s], and after one period the commanded positions [rad].
 
-    These are without and with the offsets and the lead [s], and the latter rounded; all have the shape (n,). The command
-    will find the joints at q + `pending`. A joint outside its range may only move towards it.
+    These are without and with the offsets and the lead [s], and the latter rounded; all have the shape (n,). The
+    command will find the joints at q + `pending`. A joint outside its range may only move towards it.
     """
     u, moved, shifted, rounded = np.empty((4, wanted.shape[0]))
     for i in range(wanted.shape[0]):

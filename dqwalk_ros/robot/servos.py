@@ -202,8 +202,8 @@ class Drive:
         Torque per joint velocity that is fed back, less the part that the lead compensates where it would act late
         [N m s/rad].
     lead : ndarray, shape (n,)
-        Torque per commanded velocity by which the goal is ahead: that by the damping of a servo, so that it does not lag
-        [N m s/rad]. It is in addition to a command's torques and to their limits, as the servo takes it away again.
+        Torque per commanded velocity by which the goal is ahead, against the damping of a servo [N m s/rad]. It is in
+        addition to a command's torques and to their limits, because the servo takes it away again.
     armature : ndarray, shape (n,)
         Inertia of the rotor, reflected through the gears [kg m^2].
     delay : float
