@@ -393,8 +393,12 @@ class BodyGate(StateGate):
         assert state.dq is not None
         if not all(np.isfinite(part).all() for part in (state.q, state.dq, place, v_base)):
             raise StateError("a number is not finite")
-        if not (np.abs(v_base[:3]).max() <= self.speed and np.abs(v_base[3:]).max() <= self.turn):
-            raise self._reject(f"the base moves at {np.abs(v_base[:3]).max():.3g} m/s")
+        for does, rates, most, unit in (
+            ("moves", v_base[:3], self.speed, "m/s"),
+            ("turns", v_base[3:], self.turn, "rad/s"),
+        ):
+            if not (fastest := float(np.abs(rates).max())) <= most:
+                raise self._reject(f"the base {does} at {fastest:.3g} {unit}")
         if self._place is not None and not self.impossible:
             moved = float(np.linalg.norm(place - self._place))
             if not moved <= self.speed * (max((stamp - self._stamp) * 1e-9, 0.0) + self._dt):
