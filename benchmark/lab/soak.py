@@ -45,7 +45,7 @@ class Watched:
     """
 
     def __init__(self, quiet: bool) -> None:
-        self._progress, self._began, self._due = Progress(quiet=quiet), 0.0, 0.0
+        self._progress, self._began, self._due = Progress(quiet=quiet).__enter__(), 0.0, 0.0
         self.samples: dict[float, dict[str, tuple[float, int]]] = {}
 
     def __call__(self, fraction: float, text: str) -> None:
