@@ -216,8 +216,8 @@ def _adopted(
         for name, effort in numbers.weak.items():
             limit = urdf.joints[name].limit
             urdf.repairs.append(
-                f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little to stand on one foot: "
-                f"{effort:.3g} N m is assumed"
+                f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little to stand on one foot and to "
+                f"move the pressure under it: {effort:.3g} N m is assumed, which the servo must have"
             )
             limit.effort = effort
         text = urdf.text()

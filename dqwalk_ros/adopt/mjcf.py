@@ -140,7 +140,8 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
         except (ValueError, RuntimeError, OSError) as error:
             text = " ".join(str(error).split())
             found = _UNKNOWN.search(text)
-            root = root or (_with_includes(path, path) if found else None)
+            if root is None and found:
+                root = _with_includes(path, path)
             named = [] if root is None or not found else [e for e in root.iter(found[2]) if found[1] in e.attrib]
             if found is None or found[2] not in _SETTINGS or not named:
                 raise ModelError(f"MuJoCo refuses '{path}': {text[:300]}") from error

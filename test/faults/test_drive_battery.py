@@ -72,7 +72,12 @@ class Battery:
 
     def __init__(self, make: Any, rate: float, interface: str, seed: int) -> None:
         self.dt, self._interface, self._random = 1.0 / rate, interface, random.Random(seed)
-        values = {"dt": self.dt, "servo.assumed_rate": rate, "servo.assumed_latency": self.dt}
+        values = {
+            "dt": self.dt,
+            "servo.assumed_rate": rate,
+            "servo.assumed_latency": self.dt,
+            "servo.assumed_lead": 0.02,
+        }
         config = POPPY.updated({**values, "output.interface": interface, "physics.held": True})
         plant = make_plant("physics", config.updated({"servo.window": 1.0}), MODEL)
         self._robot = ControllerManager(plant, interface, NAMES, MODEL.imu, rate)
@@ -284,7 +289,9 @@ class PhysicsBattery:
 
     def __init__(self, make: Any, rate: float, seed: int) -> None:
         self.dt, self._random, self.moved = 1.0 / rate, random.Random(seed), 0
-        config = overlaid(load("poppy"), "physics").updated({"dt": self.dt, "physics.held": True})
+        config = overlaid(load("poppy"), "physics").updated(
+            {"dt": self.dt, "physics.held": True, "servo.assumed_lead": 0.02}
+        )
         self._physics, self._timeout = make("physics", config), config.plant.command_timeout
         self._node, self._states = self._physics.node, self._physics.got["joint_states"]
         self._most = np.abs(Drive.of(config, MODEL).angles(MODEL.effort_max))

@@ -22,7 +22,7 @@ from poppy_rig import CONFIG, DT, MODEL, driver_node
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
-OWN = CONFIG.updated({"poppy.start_speed": 1.0, "servo.window": 0.05})
+OWN = CONFIG.updated({"poppy.start_speed": 1.0, "servo.window": 0.05, "servo.assumed_lead": 0.02})
 TIMEOUT = OWN.plant.command_timeout
 STAMPS = ("state", "clock", "none", "first", "future", "old")
 SPEEDS = (0.1,) * 4 + (1.0,) * 4 + (0.0, 100.0, 1e300, math.nan)
