@@ -66,11 +66,12 @@ def doctor(
     if offline:
         return 1 if findings else 0
     check_ros_environment()
-    from dqwalk_ros.nodes.doctor import examine, listen
+    from dqwalk_ros.cli.readiness import examine
+    from dqwalk_ros.nodes.doctor import listen
 
     print(f"listening for {seconds:g} s; the robot must stand still", flush=True)
     wrong = len(findings)
-    heard = listen(made, seconds, namespace)
+    heard = listen(seconds, namespace)
     heard.simulated = bool(entry(plant).type)
     for found in examine(made, model, heard):
         print(found)

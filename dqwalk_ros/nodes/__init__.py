@@ -26,6 +26,6 @@
 `phase_monitor`            /diagnostics and markers, recomputed from the topics
 `recorder`                 records a rosbag2
 `viewer`                   shows the walk in the browser
-`doctor`                   no node, but the checks of `dqwalk doctor`, which listen to the topics
+`doctor`                   listens to the topics of a robot for `dqwalk doctor`
 =========================  ===========================================================================
 """

@@ -19,9 +19,10 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
 from dqwalk_ros.cli import main
+from dqwalk_ros.cli.readiness import CHECKS, examine
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.doctor import CHECKS, Heard, examine, listen
+from dqwalk_ros.nodes.doctor import Heard, listen
 from dqwalk_ros.plants.base import Inertial
 from dqwalk_ros.robot.model import load_model
 
@@ -188,7 +189,7 @@ def test_a_phase_that_is_published_is_waited_for(domain: int, monkeypatch: pytes
     thread = threading.Thread(target=publish)
     thread.start()
     try:
-        heard = listen(CONFIG, 0.5)
+        heard = listen(0.5)
     finally:
         over.set()
         thread.join()
