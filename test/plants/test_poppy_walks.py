@@ -29,9 +29,10 @@ CONFIG = overlaid(dq.load("poppy"), "poppy_as_built").updated({"qp.solver": "daq
 DYNAMIC = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built")
 MODEL = dq.load_model(CONFIG.robot)
 GAINS = (254, 127)
-LESS_EXACT: dict[str, Any] = {"least_inside": 93.0, "most_tilt": 2.0, "tolerated": frozenset({"cop", "landing"})}
-"""The dynamic walk: at 50 Hz a step begins and ends with a tick or two of pressure on the other sole, up to 6 % of all,
-and some steps land more than 5 mm off."""
+LESS_EXACT: dict[str, Any] = {"apart": 0.01, "tolerated": frozenset({"cop", "landing"})}
+"""The dynamic walk: at 50 Hz single ticks have their pressure outside, and some steps land 5 to 7 mm off."""
+INSIDE = {254: 99.0, 127: 96.0}
+"""Least percentage of the states of the dynamic walk with the pressure inside, for each P gain."""
 SAMPLE = 0.004  # time between two readings of the set points by the engine [s]
 
 
@@ -143,7 +144,7 @@ def check_walk(
     *,
     ramp: int = 0,
     least_inside: float = 99.9,
-    most_tilt: float = 1.0,
+    apart: float = 0.005,
     tolerated: frozenset = frozenset(),
 ) -> None:
     plant = PoppyOnTheFloor(config, MODEL)
@@ -157,11 +158,11 @@ def check_walk(
     assert not plant.driver.watch.faults
     assert not {one["what"] for one in found["violations"]} - tolerated
     assert not physics["fallen"]
-    assert tilt < most_tilt
+    assert tilt < 1.0
     assert inside > least_inside
-    assert ahead > 0.95 * 0.05 * (config.gait.steps - ramp) - 0.01
+    assert ahead > 0.95 * config.gait.step_length * (config.gait.steps - ramp) - 0.01
     feet = [DQ(x).translation() for x in plant.truth.soles.values()]
-    assert abs(feet[0][0] - feet[1][0]) < 0.005  # together
+    assert abs(feet[0][0] - feet[1][0]) < apart  # together
 
 
 @pytest.mark.parametrize("gain", [pytest.param(254, marks=pytest.mark.long), 127])
@@ -177,10 +178,11 @@ def test_20_steps_through_the_driver(gain: int, seed: int) -> None:
 
 
 def test_the_robot_walks_dynamically_through_the_driver() -> None:
-    check_walk(settings(254, 0, 6, DYNAMIC), ramp=2, **LESS_EXACT)
+    check_walk(settings(254, 0, 6, DYNAMIC), ramp=2, least_inside=INSIDE[254], **LESS_EXACT)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(20))
-def test_20_dynamic_steps_through_the_driver(seed: int) -> None:
-    check_walk(settings(254, seed, 20, DYNAMIC), ramp=3, **LESS_EXACT)
+@pytest.mark.parametrize("gain", GAINS)
+def test_20_dynamic_steps_through_the_driver(gain: int, seed: int) -> None:
+    check_walk(settings(gain, seed, 20, DYNAMIC), ramp=3, least_inside=INSIDE[gain], **LESS_EXACT)
