@@ -288,7 +288,9 @@ class ArmsConfig:
 class QpConfig:
     """The solver of (U6)."""
 
-    solver: Literal["clarabel", "daqp"] = parameter("clarabel", "QP solver; daqp, an optional package, is faster")
+    solver: Literal["clarabel", "daqp", "nnls"] = parameter(
+        "clarabel", "QP solver; daqp, an optional package, is faster; nnls is scipy's, used where clarabel is missing"
+    )
 
 
 @dataclass(frozen=True)

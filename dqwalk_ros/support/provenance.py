@@ -17,6 +17,7 @@ __all__ = ["from_text", "here", "machine", "to_text"]
 _PACKAGES = (
     "numpy",
     "numba",
+    "scipy",
     "clarabel",
     "daqp",
     "yourdfpy",

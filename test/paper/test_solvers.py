@@ -1,8 +1,9 @@
-"""Clarabel and DAQP: equal and optimal solutions, and the same error for infeasible programs."""
+"""The solvers: equal and optimal solutions, and the same error for infeasible programs."""
 
 from __future__ import annotations
 
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import clarabel
@@ -13,13 +14,12 @@ from walks import DT, KINDS, phase_of, problem_at, problem_of, setting
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.clarabel import ClarabelSolver, _ClarabelProgram
-from dqwalk_ros.paper.qp.daqp import DaqpSolver
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.support.errors import ConfigError, QPError
 from dqwalk_ros.walks.table import make_controller
 
-SOLVERS = {"clarabel": ClarabelSolver, "daqp": DaqpSolver}
+SOLVERS = {name: partial(make_solver, name) for name in ("clarabel", "daqp", "nnls")}
 
 
 def walked(kind, foot, count=15):
@@ -95,6 +95,22 @@ def test_a_missing_daqp_is_explained(monkeypatch):
         make_solver("daqp")
 
 
+def test_without_clarabel_scipy_solves(monkeypatch, caplog):
+    """As on a machine with Ubuntu's packages only; also what DAQP cannot solve."""
+    for module in ("clarabel", "dqwalk_ros.paper.qp.clarabel"):
+        monkeypatch.setitem(sys.modules, module, None)
+    assert make_solver("clarabel").name == "nnls"
+    assert caplog.messages == [
+        "clarabel is not installed (pip install clarabel): scipy's nnls solves the quadratic programs"
+    ]
+    solver, problem = make_solver("daqp"), random_problem(np.random.default_rng(5))
+    W, w = problem.W.copy(), problem.w.copy()
+    W[3], w[3] = -W[2], 5.0 - w[2]
+    with pytest.raises(QPError, match="row2"):
+        solver.solve(problem._replace(W=W, w=w))
+    assert solver.fallbacks == 1
+
+
 @pytest.mark.parametrize("name", SOLVERS)
 def test_nan_in_a_problem_is_an_error(name):
     if name == "daqp":
@@ -159,14 +175,14 @@ def test_a_walk_rarely_needs_all_rows():
 def test_walks_do_not_depend_on_the_solver():
     config, model = setting()
     ways = []
-    for name in ("clarabel", "daqp"):
+    for name in SOLVERS:
         controller = make_controller(config.updated({"qp.solver": name}), model)
         plant = KinematicPlant(model)
         state = State(0.0, np.zeros(model.n))
         for _ in range(2000):
             state = plant.step(controller.step(state, DT), DT)
         ways.append(state.q)
-    assert np.abs(ways[0] - ways[1]).max() < 1e-12
+    assert np.abs(np.subtract(ways[1:], ways[0])).max() < 1e-12
     assert np.abs(ways[0]).max() > 1e-3
 
 

@@ -9,7 +9,8 @@ import clarabel
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.paper.qp.problem import Numbers, Problem, Solution, check, check_finite, kkt, scale
+from dqwalk_ros.paper.qp.least_distance import Posed, answer, pose, unsolved
+from dqwalk_ros.paper.qp.problem import Numbers, Problem, Solution, check, check_finite, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import QPError
@@ -17,7 +18,6 @@ from dqwalk_ros.support.errors import QPError
 __all__ = ["ClarabelSolver"]
 
 
-Posed = tuple[Array, Array, Array, Array]
 _OMIT_BEYOND = 1.0
 """Rows further than this many gradient steps at u = 0 enter only if the first solution violates them."""
 _RETRY = ("NotOptimal", "Violated", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")
@@ -31,47 +31,6 @@ def _nearby(numbers: Numbers) -> tuple[float, float, NDArray[np.int64]]:
     s, curvature = scale(numbers)
     slack = np.concatenate((-w[l:], upper, -lower)) / s
     return s, curvature, np.flatnonzero(slack <= max(_OMIT_BEYOND, slack.min()))
-
-
-@jit
-def _posed(numbers: Numbers, s: float, curvature: float, chosen: NDArray[np.int64], posed: Posed) -> None:
-    """Fill M (n, n), q (n,), A (n, l + k) and b (l + k,) of Clarabel's form; `chosen` are k inequalities.
-
-    With the Cholesky factor L of the Hessian, M = L^-1 and q = M c, all scaled, the variables v = M'(t - q) make the
-    objective 1/2 t't. Clarabel minimises it subject to A't + slack = b. The slack of the equalities, which come first,
-    is zero, that of the inequalities is not negative.
-    """
-    H, c, W, w, lower, upper, l = numbers  # noqa: E741
-    M, q, A, b = posed
-    n, k, m = c.shape[0], chosen.shape[0], w.shape[0] - l
-    rows = np.zeros((n, l + k))
-    rows[:, :l], b[:l] = W[:l].T, w[:l] / s
-    for j in range(k):
-        i = chosen[j]
-        if i < m:
-            rows[:, l + j], b[l + j] = -W[l + i], -w[l + i] / s
-        elif i < m + n:
-            rows[i - m, l + j], b[l + j] = 1.0, upper[i - m] / s
-        else:
-            rows[i - m - n, l + j], b[l + j] = -1.0, -lower[i - m - n] / s
-    M[:] = np.linalg.inv(np.linalg.cholesky(H / curvature))
-    q[:], A[:] = M @ c / (s * curvature), M @ rows
-    b += q @ A
-
-
-@jit
-def _answer(
-    numbers: Numbers, s: float, curvature: float, chosen: NDArray[np.int64], posed: Posed, t: Array, y: Array,
-    u: Array, z: Array,
-) -> tuple[float, float, float, float, int]:  # fmt: skip
-    """Fill u and z with Clarabel's primal and dual solution t and y, unscaled; return their residuals (see `kkt`)."""
-    (M, q, _, _), l = posed, numbers[6]  # noqa: E741
-    u[:], z[:] = s * ((t - q) @ M), 0.0
-    z[:l] = s * curvature * y[:l]
-    for k in range(chosen.shape[0]):
-        z[l + chosen[k]] = s * curvature * y[l + k]
-    residuals: tuple[float, float, float, float, int] = kkt(numbers, u, z, s, curvature)
-    return residuals
 
 
 class ClarabelSolver:
@@ -128,16 +87,16 @@ class ClarabelSolver:
         if program is None:
             program = self._programs[key] = _ClarabelProgram(n, l, len(chosen), careful=careful)
         try:
-            _posed(problem.numbers, s, curvature, chosen, program.posed)
+            pose(problem.numbers, s, curvature, chosen, program.posed)
         except np.linalg.LinAlgError as error:
             raise QPError("the Hessian is not positive definite", status="NotConvex") from error
         found, spent = program.solve()
         if found.status != _SOLVED:
             z = np.zeros(l + m + 2 * n)
             z[np.concatenate([np.arange(l), l + chosen])] = found.z
-            raise _unsolved(problem, str(found.status), z)
+            raise unsolved(problem, str(found.status), z)
         u, z, t, y = np.empty(n), np.empty(l + m + 2 * n), np.array(found.x), np.array(found.z)
-        check(problem, *_answer(problem.numbers, s, curvature, chosen, program.posed, t, y, u, z))
+        check(problem, *answer(problem.numbers, s, curvature, chosen, program.posed, t, y, u, z))
         return Solution(u, z, found.iterations, spent)
 
 
@@ -150,7 +109,7 @@ class _ClarabelProgram:
     Attributes
     ----------
     posed : tuple of ndarray
-        M, q, A and b, as `_posed` fills them.
+        M, q, A and b, as `pose` fills them.
     """
 
     def __init__(self, n: int, l: int, k: int, *, careful: bool) -> None:  # noqa: E741
@@ -186,12 +145,3 @@ class _ClarabelProgram:
 def _csc(values: Array, rows: NDArray[np.int64], starts: NDArray[np.int64], shape: tuple[int, int]) -> SimpleNamespace:
     """Return an object with the attributes of a scipy.sparse.csc_matrix; importing scipy would take half a second."""
     return SimpleNamespace(data=values, indices=rows, indptr=starts, shape=shape, has_canonical_format=True)
-
-
-def _unsolved(problem: Problem, status: str, z: Array) -> QPError:
-    """Return the error of a problem that Clarabel did not solve; the rows with the largest multipliers conflict."""
-    worst = np.argsort(-np.abs(z))[:6]
-    largest = float(np.abs(z).max(initial=0.0))
-    rows = [problem.names[i] for i in worst if problem.names and abs(z[i]) > 1e-3 * largest]
-    conflict = f"; rows in conflict: {', '.join(rows)}" if rows else ""
-    return QPError(f"the quadratic program has no solution ({status}){conflict}", status=status, rows=rows)

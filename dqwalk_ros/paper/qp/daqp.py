@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.paper.qp.clarabel import ClarabelSolver
-from dqwalk_ros.paper.qp.problem import Numbers, Problem, Solution, check, check_finite, kkt, scale
+from dqwalk_ros.paper.qp.problem import Numbers, Problem, Solution, Solver, check, check_finite, kkt, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError, QPError, how_to_install
@@ -57,12 +56,17 @@ class DaqpSolver:
     """The active-set solver DAQP, warm started, several times faster than Clarabel; one instance per shape of problem.
 
     DAQP reports that there is no solution, but not which rows conflict. So if it fails, or its result does not fulfil
-    the optimality conditions, Clarabel solves the problem, or names the rows in conflict.
+    the optimality conditions, another solver solves the problem, or names the rows in conflict.
+
+    Parameters
+    ----------
+    fallback : Solver
+        The other solver.
 
     Attributes
     ----------
     fallbacks : int
-        Number of problems that were passed on to Clarabel.
+        Number of problems that were passed on to the other solver.
 
     Raises
     ------
@@ -72,7 +76,7 @@ class DaqpSolver:
 
     name = "daqp"
 
-    def __init__(self) -> None:
+    def __init__(self, fallback: Solver) -> None:
         try:
             import daqp
         except ImportError as error:
@@ -81,7 +85,7 @@ class DaqpSolver:
             raise ConfigError(why) from error
         self._make_model = daqp.Model
         self._models: dict[tuple[int, int, int], tuple[Any, Posed]] = {}
-        self._fallback = ClarabelSolver()
+        self._fallback = fallback
         self.fallbacks = 0
 
     def solve(self, problem: Problem) -> Solution:

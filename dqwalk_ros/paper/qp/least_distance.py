@@ -1,0 +1,126 @@
+"""The quadratic program (U6) as a search for the point of a polyhedron that is nearest to the origin.
+
+Clarabel solves this form, and so does the active-set method of Lawson & Hanson, *Solving Least Squares Problems*,
+chapter 23: with scipy alone, for a machine without Clarabel, such as one that has Ubuntu's packages only.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqwalk_ros.paper.qp.problem import Numbers, Problem, Solution, check, check_finite, kkt, scale
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.errors import QPError
+
+__all__ = ["NnlsSolver", "Posed", "answer", "pose", "unsolved"]
+
+
+Posed = tuple[Array, Array, Array, Array]
+"""M, q, A and b, as `pose` fills them."""
+_NEAREST = 1e-12
+"""Least squared residual of the dual problem: below it the polyhedron is empty, or its nearest point 1e6 steps away."""
+
+
+@jit
+def pose(numbers: Numbers, s: float, curvature: float, chosen: NDArray[np.int64], posed: Posed) -> None:
+    """Fill M (n, n), q (n,), A (n, l + k) and b (l + k,) of the least distance; `chosen` are k inequalities.
+
+    With the Cholesky factor L of the Hessian, M = L^-1 and q = M c, all scaled, the variables v = M'(t - q) make the
+    objective 1/2 t't, subject to A't + slack = b. The slack of the equalities, which come first, is zero, that of the
+    inequalities is not negative.
+    """
+    H, c, W, w, lower, upper, l = numbers  # noqa: E741
+    M, q, A, b = posed
+    n, k, m = c.shape[0], chosen.shape[0], w.shape[0] - l
+    rows = np.zeros((n, l + k))
+    rows[:, :l], b[:l] = W[:l].T, w[:l] / s
+    for j in range(k):
+        i = chosen[j]
+        if i < m:
+            rows[:, l + j], b[l + j] = -W[l + i], -w[l + i] / s
+        elif i < m + n:
+            rows[i - m, l + j], b[l + j] = 1.0, upper[i - m] / s
+        else:
+            rows[i - m - n, l + j], b[l + j] = -1.0, -lower[i - m - n] / s
+    M[:] = np.linalg.inv(np.linalg.cholesky(H / curvature))
+    q[:], A[:] = M @ c / (s * curvature), M @ rows
+    b += q @ A
+
+
+@jit
+def answer(
+    numbers: Numbers, s: float, curvature: float, chosen: NDArray[np.int64], posed: Posed, t: Array, y: Array,
+    u: Array, z: Array,
+) -> tuple[float, float, float, float, int]:  # fmt: skip
+    """Fill u and z with the primal and dual solution t and y, unscaled; return their residuals (see `kkt`)."""
+    (M, q, _, _), l = posed, numbers[6]  # noqa: E741
+    u[:], z[:] = s * ((t - q) @ M), 0.0
+    z[:l] = s * curvature * y[:l]
+    for k in range(chosen.shape[0]):
+        z[l + chosen[k]] = s * curvature * y[l + k]
+    residuals: tuple[float, float, float, float, int] = kkt(numbers, u, z, s, curvature)
+    return residuals
+
+
+def unsolved(problem: Problem, status: str, z: Array) -> QPError:
+    """Return the error of a problem without a solution; the rows with the largest multipliers conflict."""
+    worst = np.argsort(-np.abs(z))[:6]
+    largest = float(np.abs(z).max(initial=0.0))
+    rows = [problem.names[i] for i in worst if problem.names and abs(z[i]) > 1e-3 * largest]
+    conflict = f"; rows in conflict: {', '.join(rows)}" if rows else ""
+    return QPError(f"the quadratic program has no solution ({status}){conflict}", status=status, rows=rows)
+
+
+class NnlsSolver:
+    """Lawson & Hanson's least distance programming: its dual is a problem of non-negative least squares.
+
+    The multipliers y >= 0 of A't <= b minimise |[A; b'] y + f|^2 with f = (0, ..., 0, 1). With its residual r, the
+    solution is t = -r[:n] / r[n], and the multipliers are y / r[n]; with r = 0 there is none, and y are the rows in
+    conflict. An equality counts as two inequalities.
+    """
+
+    name = "nnls"
+
+    def __init__(self) -> None:
+        from scipy.optimize import nnls  # slow to import and rarely needed
+
+        self._nnls = nnls
+
+    def solve(self, problem: Problem) -> Solution:
+        """Return the solution of a problem; its number of iterations is that of its active rows.
+
+        Raises
+        ------
+        QPError
+            If there is no solution, or the result does not fulfil the optimality conditions.
+        """
+        n, l, m = problem.shape  # noqa: E741
+        s, curvature = scale(problem.numbers)
+        check_finite(s, curvature)
+        rows = np.arange(m + 2 * n)
+        posed = np.empty((n, n)), np.empty(n), np.empty((n, l + len(rows))), np.empty(l + len(rows))
+        try:
+            pose(problem.numbers, s, curvature, rows, posed)
+        except np.linalg.LinAlgError as error:
+            raise QPError("the Hessian is not positive definite", status="NotConvex") from error
+        began = time.perf_counter()
+        below = np.vstack(posed[2:])
+        both = np.hstack([below, -below[:, :l]])
+        f = np.append(np.zeros(n), 1.0)
+        try:
+            found, _ = self._nnls(both, -f)
+        except RuntimeError as error:
+            raise QPError(f"the quadratic program is not solved: {error}", status="MaxIterations") from error
+        r = both @ found + f
+        y = found[: l + len(rows)]
+        y[:l] -= found[l + len(rows) :]
+        if r[n] < _NEAREST:
+            raise unsolved(problem, "Infeasible", y)
+        spent = time.perf_counter() - began
+        u, z = np.empty(n), np.empty(l + len(rows))
+        check(problem, *answer(problem.numbers, s, curvature, rows, posed, -r[:n] / r[n], y / r[n], u, z))
+        return Solution(u, z, int(np.count_nonzero(y)), spent)
