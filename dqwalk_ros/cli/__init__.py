@@ -92,6 +92,7 @@ def dqwalk() -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code, which the help describes."""
     words = list(sys.argv[1:] if argv is None else argv)
+    _open_standard_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal in ASCII or Latin-1 shows what it can
     os.environ.pop("MPLBACKEND", None)  # figures are written, not shown; matplotlib refuses an unknown backend
@@ -127,6 +128,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGPIPE
     except OSError as error:  # a full disk, a folder that cannot be written, ...
         return _fail(f"{error.strerror or error}{f': {error.filename!r}' if error.filename else ''}", FAILED)
+
+
+def _open_standard_streams() -> None:
+    """Open the null device for each standard stream that is closed; else a file of results would take its number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115
 
 
 def _fail(error: object, code: int) -> int:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import Real, bag_argument, command, force_option, quiet_option
-from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.support.output import refuse_existing, write_text
+from dqwalk_ros.support.output import refuse_existing, refuse_inside, write_text
 
 if TYPE_CHECKING:
     from dqwalk_ros.identification.fit import Identified
@@ -58,8 +57,7 @@ def identify(bag: Path, mass: float | None, out: Path | None, force: bool, quiet
     from dqwalk_ros.robot.model import parse_model
 
     out = out or bag.resolve().parent / "identified.yaml"
-    if bag.resolve() in (out.resolve(), *out.resolve().parents):
-        raise ConfigError(f"--out {out} is in the bag, which is not changed")
+    refuse_inside(bag, out)
     if not force:
         refuse_existing([out])
     trace = read(bag)

@@ -18,7 +18,7 @@ from dqwalk_ros.cli.options import (
     walk_option,
 )
 from dqwalk_ros.support.errors import ConfigError, PlantError
-from dqwalk_ros.support.output import refuse_existing
+from dqwalk_ros.support.output import refuse_existing, refuse_inside
 
 __all__ = ["movie"]
 
@@ -81,6 +81,7 @@ def movie(
         raise PlantError(
             f"nothing can be drawn with MUJOCO_GL={platform}: {error}; install its library, or try egl"
         ) from error
+    refuse_inside(bag, out)
     if not force:
         refuse_existing([out])
     create(out.parent)

@@ -12,7 +12,7 @@ import click
 
 from dqwalk_ros.cli.options import Report, bag_argument, command, namespace_option, output_options, walk_option
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.support.output import refuse_existing, written
+from dqwalk_ros.support.output import refuse_existing, refuse_inside, written
 
 if TYPE_CHECKING:
     from dqwalk_ros.report import Series
@@ -72,6 +72,7 @@ def report(
         content = bags.content_of(bag)
     place = bag.resolve()
     output = replace(output, out=output.out or place.parent / f"{place.name}_report")
+    refuse_inside(bag, output.folder)
     if html and not output.force:  # a page contains the time of its writing
         refuse_existing([output.folder / "report.html"])
     if bags.is_body(content):

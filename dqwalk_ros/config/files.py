@@ -173,6 +173,8 @@ def _sections(tree: Mapping[Any, Any], above: tuple[str, ...], source: str) -> I
         path = (*above, str(key))
         if not isinstance(value, dict):
             holds = "must hold 'ros__parameters'" if above else "expected '/**: {ros__parameters: {...}}'"
+            if key == "ros__parameters" and above:
+                holds = "must hold parameters, below it and farther to the right"
             raise ConfigError(f"{source}: {'.'.join(path)[:80]!r}: {holds}")
         if key == "ros__parameters" and above:
             yield Section(path, _flattened(value, "", source))

@@ -124,6 +124,8 @@ def checked(specs: Mapping[str, Spec], name: str, value: Any) -> Value:
 
 def _suggestion(name: str, known: Mapping[str, Any]) -> str:
     """Return the names most similar to an unknown one, as the end of an error message."""
+    if inside := [one for one in known if one.startswith(f"{name}.")]:
+        return f"; it is a section, whose parameters are named such as {inside[0]!r}"
     close = difflib.get_close_matches(name[:100], known, n=3, cutoff=0.6)
     if not close:
         key = name.rpartition(".")[2]

@@ -17,10 +17,8 @@ from dqwalk_ros.config import Config, load
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = ["MAX_WALKS", "OWN", "Study", "digest", "read"]
+__all__ = ["MAX_WALKS", "Study", "digest", "is_own", "read"]
 
-OWN = ("start.", "mass.", "disturbance.velocity")
-"""Prefixes of the names that only studies have, which are not parameters of the configuration."""
 MAX_WALKS = 100_000
 """Largest number of walks of a study."""
 
@@ -91,6 +89,11 @@ class Study:
         return digest(self.config, self.sample, self.count, self.seed, list(vary.items()))
 
 
+def is_own(name: str) -> bool:
+    """Return whether only studies have a parameter of this name, not the configuration."""
+    return name.startswith(("start.", "mass.")) or name == "disturbance.velocity"
+
+
 def digest(config: Config, *more: Any) -> str:
     """Return a hash of a configuration and of everything else that affects an outcome."""
     text = json.dumps([config.flat(), *more], sort_keys=True, default=list)
@@ -129,14 +132,19 @@ def read(path: str | pathlib.Path) -> Study:
             f"{path}: {walks:.3g} walks are too many for one study, at most {MAX_WALKS}; use fewer steps, or "
             "'sample: latin_hypercube' with a 'count'"
         )
+    if twice := sorted(file.set.keys() & vary):
+        raise ConfigError(f"{path}: '{twice[0]}' is in 'set' and in 'vary'; remove one of them")
     config = load(file.config).updated(file.set, source=str(path))
+    kinds = {spec.name: spec.type for spec in Config.specs()}
     for name, of in vary.items():  # invalid values are rejected before the first walk
+        if isinstance(of, Range) and kinds.get(name, float) is not float:
+            raise ConfigError(f"{path}: '{name}' is varied by a list of values, such as [1, 2], not by a range")
         for value in (of.low, of.high) if isinstance(of, Range) else of:
-            if not name.startswith(OWN):
+            if not is_own(name):
                 config.updated({name: value}, source=str(path))
             elif isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 raise ConfigError(f"{path}: '{name}' must be a finite number, not {value!r:.80}")
-            elif name.startswith("mass.") and value < 0.0:
+            elif not name.startswith("start.") and value < 0.0:
                 raise ConfigError(f"{path}: '{name}' must not be negative, it is {value}")
     return Study(source.stem, config, file.sample, file.count, file.seed, vary)
 

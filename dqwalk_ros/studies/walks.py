@@ -18,7 +18,7 @@ from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import simulate
-from dqwalk_ros.studies.plan import OWN, Study
+from dqwalk_ros.studies.plan import Study, is_own
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, StudyError
@@ -106,7 +106,7 @@ def set_up(config: Config, point: Mapping[str, Any]) -> tuple[Config, RobotModel
     ConfigError
         If there is no such joint or link.
     """
-    config = config.updated({name: value for name, value in point.items() if not name.startswith(OWN)})
+    config = config.updated({name: value for name, value in point.items() if not is_own(name)})
     model = _with_masses(_model(config.robot), point)
     q0 = np.zeros(model.n)
     for name, value in point.items():

@@ -10,9 +10,9 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from dqwalk_ros.support.errors import OutputError
+from dqwalk_ros.support.errors import ConfigError, OutputError
 
-__all__ = ["refuse_existing", "write_text", "written"]
+__all__ = ["refuse_existing", "refuse_inside", "write_text", "written"]
 
 
 @contextlib.contextmanager
@@ -58,6 +58,12 @@ def refuse_existing(paths: Iterable[Path]) -> None:
     for path in paths:
         if os.path.lexists(path):
             raise OutputError(f"'{path}' exists already; choose another --out, or replace it with --force")
+
+
+def refuse_inside(bag: Path, out: Path) -> None:
+    """Raise ConfigError if a result `out` would be in the folder of a bag, or replace the bag."""
+    if bag.resolve() in (out.resolve(), *out.resolve().parents):
+        raise ConfigError(f"--out {out} is in the bag, which is not changed")
 
 
 def _same(new: Path, path: Path) -> bool:

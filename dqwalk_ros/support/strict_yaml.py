@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
@@ -23,6 +23,8 @@ _MOST_NESTED = 50
 class _Loader(yaml.CSafeLoader):
     """Loader that refuses merge keys and duplicate keys."""
 
+    bool_values: ClassVar[dict[str, bool]] = {**yaml.CSafeLoader.bool_values, "y": True, "n": False}
+
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         lines: dict[Any, int] = {}
         for key, _ in node.value:
@@ -35,10 +37,16 @@ class _Loader(yaml.CSafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
-# YAML 1.1 reads 1e-3 as a text; rcl and YAML 1.2 read it as a number
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)
+# PyYAML reads YAML 1.1, which has other numbers: 1:30 is 90, 1_0 is 10, and 1e-3 is a text
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern in {
+    "bool": r"(?:[yYnN]|yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF)$",
+    "int": r"[-+]?(?:0x[0-9a-fA-F]+|0[0-7]*|[1-9]\d*)$",
+    "float": r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?$|[-+]?\.(?:inf|Inf|INF)$|\.(?:nan|NaN|NAN)$",
+    "merge": r"<<$",
+    "null": r"(?:~|null|Null|NULL|)$",
+}.items():
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), None)
 
 
 def _at(place: Any, problem: str) -> yaml.MarkedYAMLError:

@@ -209,7 +209,7 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["config", "poppy", "--check", "--set", "standing.posture=[l_knee_y=nan]"], "must be JOINT=RADIANS"),
         (["doctor", "--offline", "--plant", "ros2_control", "--set", "servo.types=['*=NOPE']"], "names 'NOPE'"),
         (["config", "--set", "nothing=1"], "unknown parameter"),
-        (["config", "paper", "--set", "gait.cycles=2024-13-45"], "--set gait.cycles: not YAML"),
+        (["config", "paper", "--set", "gait.cycles=2024-10-05"], "must be a whole number"),
         (["config", "paper", "--set", f"gait.cycles={'9' * 6000}"], "--set gait.cycles: not YAML"),
         (["config", "paper", "--set", f"gait.cycles={'[' * 100}"], "not YAML: nested too deeply"),
         (["config", "paper", "--set", "gait.cycles=[&a [1, 1], *a]"], "anchors and aliases are not allowed"),
@@ -349,6 +349,14 @@ def test_the_folder_of_results_is_not_a_bag_but_contains_it(walked, capsys):
     assert f"did you mean '{out}/bag'?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [["report", "--out", "x"], ["movie", "--out", "x.gif"]])
+def test_no_result_is_written_into_a_bag(walked, capsys, words):
+    out, _ = walked
+    command, option, name = words
+    assert cli.main([command, str(out / "bag"), option, str(out / "bag" / name), "--force"]) == 2
+    assert "is in the bag, which is not changed" in capsys.readouterr().err
+
+
 def test_a_missing_walk_to_compare_is_an_error_before_any_result(walked, tmp_path, capsys):
     out, _ = walked
     assert cli.main(["report", f"{out}/bag", "--compare", f"{tmp_path}/none", "--out", f"{tmp_path}/r", "--quiet"]) == 1
@@ -424,6 +432,13 @@ def test_a_closed_pipe_is_no_error():
     done = subprocess.run(words, shell=True, capture_output=True, text=True, check=False, env=HERE)
     assert done.returncode == 0
     assert done.stderr == ""
+
+
+def test_closed_streams_are_no_error(monkeypatch):
+    for stream in ("stdin", "stdout", "stderr"):
+        monkeypatch.setattr(sys, stream, None)
+    assert cli.main(["config", "paper"]) == 0
+    assert cli.main(["config", "papr"]) == 2
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ VALUES = [
     ("gait: {cycles: 1}\ngait: {cycles: 2}", "line 4: .*'gait' was given in line 3"),
     ("gait.cycles: 1\ngait: {cycles: 2}", "'gait.cycles' is given twice"),
     (f"dt: {'9' * 5000}", "not YAML"),
-    ("dt: 2001-99-99", "not YAML"),
+    ("dt: 2001-01-01", "'dt' must be a number"),
     ("dt: [1", "line 4: not YAML"),
     ("dt: *x", "line 3: not YAML: anchors"),
     ("<<: {dt: 1}", "line 3: not YAML: merge keys"),
@@ -105,7 +105,8 @@ FILES = {
     "a list": ("[1, 2]", r"expected '/\*\*"),
     "no node": ("dt: 0.005", r"expected '/\*\*"),
     "no ros__parameters": ("/**:\n  parameters:\n    dt: 0.005", "must hold 'ros__parameters'"),
-    "a number of parameters": ("/**:\n  ros__parameters: 3", "must hold 'ros__parameters'"),
+    "a number of parameters": ("/**:\n  ros__parameters: 3", "ros__parameters': must hold parameters"),
+    "no parameters": ("/**:\n  ros__parameters:\n", "ros__parameters': must hold parameters"),
 }
 REFUSED = {body[:60]: (text(body), message) for body, message in VALUES} | FILES
 

@@ -24,6 +24,8 @@ ACCEPTED = {
     "one namespace": f"/*/phase_monitor: {{{OURS}}}",
     "all nodes of a namespace": f"robot_1: {{'*': {{{OURS}}}}}",
     "several of our nodes": f"controller: {{{OURS}}}\nphase_monitor: {{{OURS}}}",
+    "numbers in other notations": "/**: {ros__parameters: {dt: +1.e-2, gait.cycles: 0x3, gait.steps: 012}}",
+    "one letter for true": "/**: {ros__parameters: {dt: .01, gait.cycles: 3, dsp.flat_feet: n, dynamic.catch: On}}",
 }  # fmt: skip
 REFUSED = {
     "a misspelt parameter": ("/**: {ros__parameters: {gait.cycels: 3}}", "gait.cycels"),
@@ -31,6 +33,9 @@ REFUSED = {
                            "did you mean 'phase_monitor'"),
     "a misspelt parameter of a section of ours": ("/**: {ros__parameters: {gait: {speed: 3}}}", "gait.speed"),
     "a wrong type": ("/**: {ros__parameters: {dt: fast}}", "dt"),
+    "a number with an underscore": ("/**: {ros__parameters: {gait.cycles: 1_0}}", "gait.cycles"),
+    "a time for a number": ("/**:\n  ros__parameters:\n    gait.cycles: 1:30", "gait.cycles"),
+    "a binary number": ("/**: {ros__parameters: {gait.cycles: 0b11}}", "gait.cycles"),
     "a value out of bounds": ("phase_monitor: {ros__parameters: {dt: 100.0}}", "dt"),
 }  # fmt: skip
 NAMESPACES = {

@@ -504,6 +504,12 @@ def test_paths_without_a_bag_are_an_error(tmp_path):
         bag.read(tmp_path / "nowhere")
     with pytest.raises(BagError, match="not a rosbag2"):
         bag.read(tmp_path)
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(BagError, match="is not a bag of ROS 2"):
+        bag.read(tmp_path / "notes.txt")
+    (tmp_path / "walk.bag").write_text("#ROSBAG V2.0\n")
+    with pytest.raises(BagError, match="is a bag of ROS 1"):
+        bag.read(tmp_path / "walk.bag")
     (tmp_path / "text.mcap").write_text("hello")
     with pytest.raises(BagError, match="cannot read"):
         bag.read(tmp_path / "text.mcap")

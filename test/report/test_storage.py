@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import sqlite3
 from pathlib import Path
@@ -18,6 +20,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from dqwalk_ros import cli
 from dqwalk_ros.report import bag
+from dqwalk_ros.support.errors import BagError
 
 RECORDED = Path(__file__).parents[1] / "data" / "recorded" / "walk"
 STATES = 581
@@ -50,6 +53,28 @@ def copied(target: Path, foreign: str, compression: CompressionType, chunked: bo
                 data = rng.bytes(LARGE) if "large" in foreign else b"{}"
                 writer.add_message(more[foreign], message.log_time, data, message.publish_time)
         writer.finish()
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.ENOSPC])
+@pytest.mark.parametrize("suffix", ["mcap", "db3"])
+def test_a_file_that_cannot_be_read_is_not_called_damaged(
+    suffix: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / f"walk.{suffix}").write_bytes(b"")
+
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(BagError, match=f"cannot read '.*walk.{suffix}': {os.strerror(code)}$"):
+        bag.read(tmp_path)
+
+
+@pytest.mark.parametrize("length", [1 << 62, (1 << 63) + 5, (1 << 64) - 1])
+def test_a_record_of_an_impossible_length_is_where_a_file_is_cut_off(length: int, tmp_path: Path) -> None:
+    (tmp_path / "walk.mcap").write_bytes(b"\x89MCAP0\r\n\x01" + length.to_bytes(8, "little"))
+    with pytest.raises(BagError, match=r"damaged or cut off \(its last record is incomplete\)"):
+        bag.read(tmp_path)
 
 
 @pytest.mark.parametrize("foreign", ["no schema", "no schema, a topic of the walk", "another encoding"])

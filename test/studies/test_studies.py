@@ -100,7 +100,12 @@ SIX = ", ".join(
         ("vary: {dt: {from: 0.001, to: 0.005, steps: 1000000000}}", "list of values"),
         (f"vary: {{{SIX}}}", r"1e\+12 walks are too many"),
         ("count: 1000000000\nsample: sobol\nvary: {dt: [0.005]}", "count"),
-        ("vary: {dt: [2024-13-45]}", "not YAML"),
+        ("vary: {dt: [2024-13-45]}", "'dt' must be a number"),
+        ("vary: {disturbance.velocityx: [0.1]}", "unknown parameter 'disturbance.velocityx'"),
+        ("vary: {disturbance.velocity: [-1.0]}", "must not be negative"),
+        ("vary: {gait.cycles: {from: 1, to: 3, steps: 3}}", "a list of values, such as .*not by a range"),
+        ("set: {task.eta: 2.0}\nvary: {task.eta: [1.0]}", "'task.eta' is in 'set' and in 'vary'"),
+        ("vary: {gait: [1]}", "'gait'; it is a section, whose parameters are named such as 'gait."),
         ("vary: " + "[" * 100, "nested too deeply"),
         ("vary: " + "[" * 3000, "nested too deeply|nesting depth"),  # the newer libyaml's own limit
     ],

@@ -7,6 +7,7 @@ of the bag, every checksum is verified, and a damaged file is read up to the dam
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import re
@@ -292,6 +293,10 @@ def _part_of(file: Path, wanted: _Wanted) -> _Part:
                 out.found.append((topic, kind, time, raw))
     except BagError:
         raise
+    except OSError as error:
+        if error.errno != errno.EIO:  # no permission, no room for what is decompressed: not of the file
+            raise BagError(f"cannot read '{file}': {error.strerror or error}") from error
+        out.damage = str(error)
     except sqlite3.DatabaseError as error:
         out.damage = f"{error}; the .recover command of sqlite3 may save what is left"
     except Exception as error:  # damaged bytes may raise any exception in a parser
@@ -327,12 +332,17 @@ def content_of(source: Source) -> Content:
 
 def _files(path: Path) -> list[Path]:
     """Return the files of a bag in the order of their numbers."""
-    files = [path]
-    if path.is_dir():
-        files = [file for file in path.iterdir() if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
+    named = re.compile(r"\.(mcap|db3)(\.zstd)?$")
+    files = [file for file in path.iterdir() if named.search(file.name)] if path.is_dir() else [path]
     for file in files:
         if not stat.S_ISREG(file.stat().st_mode):
             raise BagError(f"'{file}' is not a regular file")
+        if not named.search(file.name):
+            with file.open("rb") as stream:
+                head = stream.read(len(_MAGIC))
+            if head != _MAGIC:
+                how = "a bag of ROS 1, which rosbags-convert converts" if head == b"#ROSBAG " else "not a bag of ROS 2"
+                raise BagError(f"'{file}' is {how}: it is no .mcap and no .db3 file")
     return sorted(files, key=lambda file: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", file.name)])
 
 
@@ -347,10 +357,10 @@ def _messages(file: Path, wanted: _Wanted) -> Iterator[_Item]:
                     room.take(len(block))
                     out.write(block)
             file = plain
-        if file.suffix == ".db3":
-            yield from _sqlite(file, room, wanted)
-        else:
-            with file.open("rb") as stream:
+        with file.open("rb") as stream:
+            if file.suffix == ".db3":
+                yield from _sqlite(file, room, wanted)
+            else:
                 yield from _Mcap(room, wanted).read(stream)
 
 
@@ -423,7 +433,10 @@ class _Record:
     def skip(self) -> None:
         """Go to the end of the record."""
         if self.left > _BLOCK and self._stream.seekable():
-            self._stream.seek(self.left - 1, io.SEEK_CUR)
+            try:
+                self._stream.seek(self.left - 1, io.SEEK_CUR)
+            except (OSError, ValueError):
+                raise _Damage("its last record is incomplete") from None
             self.left = 1
         while self.left:
             self.whole(min(self.left, _BLOCK))
