@@ -17,7 +17,7 @@ import yaml
 
 from dqwalk_ros.cli import dqwalk
 from dqwalk_ros.config import Config, load, with_files
-from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of, sections_of
+from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of, parse, sections_of
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS
 from dqwalk_ros.walks.course import speeds
@@ -50,18 +50,76 @@ def test_named_modules_exist(page):
         assert any((folder / name).is_file() for folder in folders), name
 
 
-@pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
-def test_documented_commands_are_valid(page):
-    count = 0
-    for block in blocks(page, "bash"):
-        for line in block.splitlines():
-            words = shlex.split(line, comments=True)
-            if words and words[0] == "dqwalk":
-                name, *words = words[1 : words.index(">")] if ">" in words else words[1:]
-                with click.Context(dqwalk) as context:
-                    dqwalk.get_command(context, name).make_context(name, words)  # raises if a word is unknown
-                count += 1
-    assert count >= 5
+def lines(page):
+    """Return the words of each line of a page's blocks that is typed in a shell."""
+    text = "\n".join(block for language in ("", "bash", "text") for block in blocks(page, language))
+    found = []
+    for begin in re.finditer(r"^ *(?:\$ )?(?=(?:dqwalk|ros2|make) )", text, re.M):
+        line, *more = text[begin.end() :].split("\n")
+        while line.count("'") % 2 or line.endswith("\\"):
+            line = f"{line.removesuffix(chr(92))} {more.pop(0)}"
+        words = shlex.split(line, comments=True)
+        found.append(words[: words.index(">")] if ">" in words else words)
+    return found
+
+
+def check_dqwalk(name, *words):
+    with click.Context(dqwalk) as context:
+        dqwalk.get_command(context, name).make_context(name, list(words))  # raises if a word is unknown
+
+
+def check_make(*words):
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M)
+    assert words[0] in targets
+
+
+def check_run(package, name, *words):
+    assert package == "dqwalk_ros"
+    check_dqwalk(*words) if name == "dqwalk" else parse(name, words)
+    for file in (word for word in words if word.startswith("config/")):
+        assert (ROOT / file).is_file(), file
+
+
+def check_launch(package, file, *words):
+    if package == "dqwalk_ros":
+        text = (ROOT / "launch" / file).read_text()
+        for name in (word.partition(":=")[0] for word in words):
+            assert re.search(rf'^ +"{name}": \(', text, re.M), f"{file} has no argument {name}"
+
+
+def check_service(package, name, kind, *_):
+    assert package == "call"
+    node, service = name.strip("/").split("/")
+    assert re.search(rf"~/{service}\b.*{kind.split('/')[-1]}", docstring(node)), name
+
+
+def check_topic(verb, *words):
+    assert verb == "pub"
+    topic, kind, message = words[-3:]
+    rows = re.findall(r"^\| (`\S.*?) \| (.*?) \|", (ROOT / "docs/interfaces.md").read_text(), re.M)
+    assert any(f"`{topic.strip('/')}`" in name and kind.replace("/msg/", "/") in types for name, types in rows), topic
+    assert isinstance(yaml.safe_load(message), dict)
+
+
+def check_param(verb, node, name, value):
+    assert (verb, node) == ("set", "/controller")
+    (spec,) = (spec for spec in parameters_of("controller") if spec.name == name)
+    assert spec.live
+    Config().updated({name: yaml.safe_load(value)})
+
+
+ROS2 = {"run": check_run, "launch": check_launch, "service": check_service, "topic": check_topic, "param": check_param}
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if lines(p)], ids=lambda p: str(p.relative_to(ROOT)))
+def test_documented_lines_are_valid(page, monkeypatch):
+    """Commands, options, nodes, launch files and their arguments, services, topics and types exist."""
+    monkeypatch.chdir(ROOT)
+    for program, *words in lines(page):
+        if program == "ros2" and (check := ROS2.get(words[0])):
+            check(*words[1:])
+        elif program != "ros2":
+            {"dqwalk": check_dqwalk, "make": check_make}[program](*words)
 
 
 @pytest.mark.parametrize("page", OURS, ids=lambda p: p.name)
