@@ -20,7 +20,7 @@ from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.safety import CommandGate, DuplicatePublishers, Watchdog
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.errors import ConfigError, StateError
 
 if TYPE_CHECKING:
     from dqwalk_ros.controller import VelocityController
@@ -110,9 +110,20 @@ class CommandInput:
     gate : CommandGate
     unable : str
         Why the plant cannot execute commands, although it does not refuse them; set by the plant.
+
+    Raises
+    ------
+    ConfigError
+        If ``plant.command_timeout`` is less than two periods in real time.
     """
 
     def __init__(self, node: WalkNode, model: RobotModel, topic: str = VELOCITY) -> None:
+        timeout, dt = node.config.plant.command_timeout, node.config.dt
+        if not node.lockstep and timeout < 2.0 * dt:
+            raise ConfigError(
+                f"'plant.command_timeout' is {timeout:g} s, but commands come every {dt:g} s (dt): the robot would "
+                f"stand still; set at least {2.0 * dt:g} s"
+            )
         self._node, self._topic = node, topic
         self.gate = CommandGate(model, lambda: node.config.plant.command_timeout, node.steady)
         self._reader = ros.JointReader(model.joint_names)

@@ -31,9 +31,10 @@ class PoppyDriver(WalkNode):
 
     The driver does not move the robot by itself (unless poppy.activate is set). It publishes the angles from the start.
     ~/activate switches the torque on in the current posture, checks it, and moves the robot slowly to its first pose,
-    standing.posture; then commands are accepted. The stamp of a state is the time at which its oldest angle was read; a
-    state with an angle older than plant.command_timeout is not published. While a motor has a fault the robot holds
-    still, and /diagnostics names the motor, the fault, and what to do.
+    standing.posture; then commands are accepted. While the torque is on and no motor has a fault it does nothing. The
+    stamp of a state is the time at which its oldest angle was read; a state with an angle older than
+    plant.command_timeout is not published. While a motor has a fault the robot holds still, and /diagnostics names the
+    motor, the fault, and what to do.
 
     Subscribes to::
 
@@ -182,6 +183,9 @@ class PoppyDriver(WalkNode):
             self._switch(False, SetBool.Response())
 
     def _switch(self, on: bool, response: Any) -> Any:
+        if on and self._plant.active and not self._plant.watch.faults:  # it may be in mid-step
+            response.success, response.message = True, "the torque is on already"
+            return response
         self._commands.gate.hold()
         try:
             if on:

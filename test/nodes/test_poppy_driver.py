@@ -29,6 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 from dqwalk_ros.cli.runner import private_domain
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.plants.poppy.dynamixel import GOAL, TORQUE_ENABLE
+from dqwalk_ros.support.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = load("paper").updated({"dt": 0.02, "monitor.rate": 20.0})
@@ -370,6 +371,24 @@ def test_the_first_pose_is_the_posture_of_the_walk(make: Any, monkeypatch: pytes
     one, memory = driver_node(make, monkeypatch, CONFIG.updated(settings))
     until(one, lambda: one.node._plant.ready)
     assert memory.angle(RIGHT_KNEE) == pytest.approx(0.5, abs=CONFIG.poppy.start_tolerance)
+
+
+def test_a_robot_that_would_never_move_is_refused(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match="commands come every 0.02 s .* set at least 0.04 s"):
+        driver_node(make, monkeypatch, CONFIG.updated({"plant.command_timeout": 0.03}))
+
+
+def test_a_second_activation_moves_no_robot(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be in mid-step, and would move to its first pose."""
+    one, memory = driver_node(make, monkeypatch, CONFIG.updated({"poppy.activate": True}))
+    plant = one.node._plant
+    until(one, lambda: plant.ready)
+    for name, request in (("activate", Trigger.Request()), ("compliant", SetBool.Request(data=False))):
+        answer = one.call(name, request)
+        assert (answer.success, answer.message, plant.ready) == (True, "the torque is on already", True)
+    memory.servo(KNEE).memory[TEMPERATURE] = 70
+    until(one, lambda: "too hot" in one.node._commands.gate.refused)
+    assert not one.call("activate", Trigger.Request()).success
 
 
 def test_the_torque_is_switched_off_after_a_fall_and_on_when_no_motor_is_hot(

@@ -217,7 +217,8 @@ def test_the_voltage_is_low_at_its_second_reading_below_the_limit_until_it_is_ha
 def test_the_voltage_error_of_a_motor_counts_as_low_voltage(motors: Motors) -> None:
     motors.bus.error[0] = 1
     assert not motors.look_after(0)
-    assert "voltage/hip" in motors.look_after(0)
+    assert "outside of the limits in its registers" in motors.look_after(0)["voltage/hip"]
+    assert "too little" in motors.look_after(0, voltage=LOW - 1.0)["voltage/hip"]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

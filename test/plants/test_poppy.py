@@ -110,6 +110,12 @@ def test_an_invalid_motor_is_refused(tmp_path: Path, changes: dict[str, str], ex
         read_table(tmp_path, MOTOR, {**MOTOR, "id": "2", **changes})
 
 
+def test_a_motor_without_properties_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "motors.yaml").write_text("motors:\n  m1:\n")
+    with pytest.raises(ConfigError, match=r"line 2: motor 'm1': expected \{id, type"):
+        load_motors(str(tmp_path / "motors.yaml"), TYPES)
+
+
 def test_a_table_without_motors_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected 'motors"):
         read_table(tmp_path)
@@ -401,8 +407,15 @@ def test_one_period_suffices_for_all_motors(sync_read: bool) -> None:
     ],
 )
 def test_missing_ports_are_refused(port: str, expected: str) -> None:
-    own = CONFIG.updated({"poppy.lower_port": port, "poppy.upper_port": port})
+    own = CONFIG.updated({"poppy.lower_port": port})
     with pytest.raises(PlantError, match=expected):
+        PoppyPlant(own, MODEL, np.zeros(MODEL.n))
+
+
+def test_one_port_is_not_that_of_both_buses(tmp_path: Path) -> None:
+    (tmp_path / "by-id").symlink_to("/dev/null")
+    own = CONFIG.updated({"poppy.lower_port": "/dev/null", "poppy.upper_port": str(tmp_path / "by-id")})
+    with pytest.raises(PlantError, match="are the same port"):
         PoppyPlant(own, MODEL, np.zeros(MODEL.n))
 
 

@@ -7,7 +7,7 @@ import pytest
 from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, TYPES, VOLTAGE, FaultyServos, Memory
 from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
-from dqwalk_ros.plants.poppy.dynamixel import GAIN, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT
+from dqwalk_ros.plants.poppy.dynamixel import GAINS, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT
 from dqwalk_ros.support.errors import PlantError
 
 KNEE = MOTORS["l_knee_y"].id
@@ -153,7 +153,10 @@ def test_a_short_power_cut_is_detected(rig: Rig) -> None:
     check_holds(rig)
 
 
-@pytest.mark.parametrize(("address", "value"), [(TORQUE_ENABLE, 0), (TORQUE_LIMIT, 0), (GAIN, 32)])
+@pytest.mark.parametrize(
+    ("address", "value"),
+    [(TORQUE_ENABLE, 0), (TORQUE_LIMIT, 0), (TORQUE_LIMIT, 1), (GAINS + 2, 32), (GAINS, 254), (GAINS + 1, 254)],
+)
 def test_torque_and_gain_are_read_back_continuously(rig: Rig, address: int, value: int) -> None:
     servo = rig.memory.servo("l_knee_y")
     servo.write(address, bytes([value] * (2 if address == TORQUE_LIMIT else 1)))
@@ -392,7 +395,7 @@ def test_a_torque_that_does_not_switch_on_is_an_error() -> None:
     assert not any(rig.memory.torque(name) for name in MOTORS)
 
 
-@pytest.mark.parametrize("address", [GAIN, 30, TORQUE_LIMIT])
+@pytest.mark.parametrize("address", [GAINS, 30, TORQUE_LIMIT])
 def test_a_motor_that_cannot_be_set_up_is_an_error(address: int) -> None:
     rig = Rig(angles={"l_knee_y": 40.0})
     servo = rig.memory.servo("l_knee_y")

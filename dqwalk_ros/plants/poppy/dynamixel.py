@@ -22,9 +22,11 @@ from dqwalk_ros.robot.servos import ServoType
 from dqwalk_ros.support.errors import PlantError
 
 __all__ = [
+    "DAMAGED",
     "ERROR_BITS",
     "FULL_TORQUE",
     "LIMITS",
+    "SILENT",
     "Clock",
     "DynamixelBus",
     "Identity",
@@ -52,7 +54,8 @@ LIMITS: Final = 6
 _IDENTITY: Final = 10
 """Number of bytes from the model number up to these limits."""
 TORQUE_ENABLE: Final = 24
-GAIN: Final = 28
+GAINS: Final = 26
+"""D, I and P gain of an MX, a byte each; of an AX, other properties."""
 GOAL: Final = 30
 """Goal, speed and torque limit, two bytes each."""
 TORQUE_LIMIT: Final = 34
@@ -62,6 +65,9 @@ FULL_TORQUE: Final = 1023
 """Largest value of the register of the torque limit."""
 _INSPECTED: Final = 20
 """Number of bytes from `TORQUE_ENABLE` up to the temperature."""
+SILENT: Final = "does not answer"
+DAMAGED: Final = "sends damaged replies"
+"""Why a reading failed."""
 _SYNC_READ: Final = 0x84
 """Instruction of the USB2AX adapter, which reads the servos one after the other and replies for all of them."""
 _TIMEOUT: Final = 0.01
@@ -81,7 +87,7 @@ class Registers:
     torque : bool
         Whether the torque is on.
     gain : int
-        Register 28: P gain of an MX, compliance slope of an AX.
+        D, I and P gain of an MX as one number of three bytes: its P gain, if the others are 0.
     goal : int
         Value of the goal position register.
     torque_limit : int
@@ -299,7 +305,7 @@ class DynamixelBus:
             return None
         data, result, error = reply
         if result != self._success or len(data) != length:
-            self.cause[i] = "does not answer" if result == self._no_reply else "sends damaged replies"
+            self.cause[i] = SILENT if result == self._no_reply else DAMAGED
             return None
         self.cause[i], self.error[i] = "", error
         return bytes(data)
@@ -321,14 +327,14 @@ class DynamixelBus:
             return [None] * n
         data, result = reply
         if result != self._success or len(data) != n * length:
-            why = "does not answer" if result == self._no_reply else "sends damaged replies"
+            why = SILENT if result == self._no_reply else DAMAGED
             self.cause = [why] * n
             return [None] * n
         out: list[bytes | None] = []
         for i in range(n):
             one = data[i * length : (i + 1) * length]
             there = one != b"\xff" * length  # reply of the adapter for a servo that does not answer
-            self.cause[i] = "" if there else "does not answer"
+            self.cause[i] = "" if there else SILENT
             out.append(one if there else None)
         return out
 
@@ -376,7 +382,8 @@ class DynamixelBus:
             return None
         self._store(i, data[PRESENT - TORQUE_ENABLE :], asked)
         goal, limit = (int.from_bytes(data[k - TORQUE_ENABLE :][:2], "little") for k in (GOAL, TORQUE_LIMIT))
-        gain, voltage, temperature = data[GAIN - TORQUE_ENABLE], data[-2] / 10.0, float(data[-1])
+        gain = int.from_bytes(data[GAINS - TORQUE_ENABLE :][:3], "big")
+        voltage, temperature = data[-2] / 10.0, float(data[-1])
         found = Registers(bool(data[0]), gain, goal, limit, voltage, temperature, asked)
         self.registers[i] = found
         return found
@@ -404,8 +411,8 @@ class DynamixelBus:
         self._write(TORQUE_ENABLE, {i: bytes([on]) for i in places})
 
     def write_gain(self, gain: int, places: Iterable[int]) -> None:
-        """Set the P gain of servos."""
-        self._write(GAIN, {i: bytes([gain]) for i in places})
+        """Set the P gain of MX servos, and their other gains to 0."""
+        self._write(GAINS, {i: bytes([0, 0, gain]) for i in places})
 
     def write_torque_limit(self, limit: int, places: Iterable[int]) -> None:
         """Set the torque limit of servos, up to 1023."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import PoppyConfig
-from dqwalk_ros.plants.poppy.dynamixel import ERROR_BITS, DynamixelBus
+from dqwalk_ros.plants.poppy.dynamixel import DAMAGED, ERROR_BITS, FULL_TORQUE, SILENT, DynamixelBus
 from dqwalk_ros.plants.servo_goals import JUMPS
 from dqwalk_ros.support.arrays import Array
 
@@ -22,6 +22,7 @@ _TWICE = 2
 """Number of consecutive readings of a high temperature or a low voltage that are a fault."""
 _COOLER, _FULLER = 5.0, 0.5
 """Hysteresis of temperature [K] and voltage [V] for the end of a fault."""
+_DAMAGED = "is the cable intact, and does no other program use the port?"
 _FULL = 0.95
 """Part of the position error of full torque at which a servo counts as pushing."""
 _SWITCHED_OFF = 4 | 32
@@ -144,8 +145,8 @@ class MotorWatch:
             if bus.lost:
                 found[f"silent/{bus.name}"] = f"{bus.name} bus: {bus.lost}; plug it in"
             elif len(silent) == len(part.places) and len(set(bus.cause)) == 1:
-                found[f"silent/{bus.name}"] = (
-                    f"{bus.name} bus: every motor {bus.cause[0]}; is the power on, and the cable plugged in?"
+                found[f"silent/{bus.name}"] = f"{bus.name} bus: every motor {bus.cause[0]}; " + (
+                    "is the power on, and the cable plugged in?" if bus.cause[0] == SILENT else _DAMAGED
                 )
             else:
                 for i in silent:
@@ -153,6 +154,7 @@ class MotorWatch:
                     why = bus.cause[i] or "sends implausible angles"
                     found[f"silent/{name}"] = (
                         f"{name} (motor {bus.ids[i]}, {bus.name} bus) {why}; check its cable and its LED"
+                        f"{', and that no other motor has its id' if why == DAMAGED else ''}"
                     )
         self._silent_since = {key: self._silent_since.get(key, now) for key in found}
         if on:
@@ -179,9 +181,11 @@ class MotorWatch:
         self._looked[place] = registers.at
         if new:
             self.unsure[place] = False
-            if gain is not None and not (registers.torque and registers.torque_limit and gain in (registers.gain, -1)):
+            full = registers.torque and registers.torque_limit == FULL_TORQUE
+            if gain is not None and not (full and gain in (registers.gain, -1)):
                 self.lasting[f"torque/{name}"] = (
-                    f"{name} has lost its torque or its gain: was its power cut? support the robot, then ~/activate"
+                    f"{name} has lost its torque or its gain: was its power cut, or has another program written to it? "
+                    "support the robot, then ~/activate"
                 )
         c = self._config
         self._report_repeated(
@@ -195,7 +199,12 @@ class MotorWatch:
             f"voltage/{name}",
             registers.voltage < c.low_voltage + _FULLER * (f"voltage/{name}" in self.passing) or bool(bus.error[i] & 1),
             new,
-            f"{name} has {registers.voltage:.1f} V, too little; charge the battery (poppy.low_voltage)",
+            f"{name} has {registers.voltage:.1f} V, "
+            + (
+                "outside of the limits in its registers; check battery and supply"
+                if bus.error[i] & 1 and registers.voltage >= c.low_voltage
+                else "too little; charge the battery (poppy.low_voltage)"
+            ),
             found,
         )
 

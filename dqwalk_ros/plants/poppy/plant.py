@@ -9,6 +9,7 @@ the limbs without feedforward torques. A fault of a motor, a cable or the power 
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -136,6 +137,8 @@ def load_motors(source: str, types: Mapping[str, ServoType]) -> dict[str, Motor]
     out: dict[str, Motor] = {}
     for name, entry in table.items():
         try:
+            if not isinstance(entry, dict):
+                raise ValueError("expected {id, type, bus, direct, offset, raw}")
             motor = msgspec.convert(dict(name=str(name), **entry), Motor)
             if motor.type not in (known := [name for name, kind in types.items() if kind.positions]):
                 raise ValueError(f"the type must be one of {', '.join(known)}")
@@ -595,6 +598,11 @@ def _calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[
     return out
 
 
+def _same_port(one: str, other: str) -> bool:
+    """Return whether two names are those of one port, maybe through links."""
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
 def open_buses(
     motors: Mapping[str, Motor], types: Mapping[str, ServoType], config: PoppyConfig, clock: Clock
 ) -> dict[str, DynamixelBus]:
@@ -610,6 +618,8 @@ def open_buses(
     PlantError
         If dynamixel_sdk is missing, or a port cannot be opened.
     """
+    if not config.dummy and config.lower_port != "auto" and _same_port(config.lower_port, config.upper_port):
+        raise PlantError(f"poppy.lower_port and poppy.upper_port are the same port, {config.lower_port}")
     buses: dict[str, DynamixelBus] = {}
     named = {"lower": config.lower_port, "upper": config.upper_port}
     for name in sorted({motor.bus for motor in motors.values()}):
