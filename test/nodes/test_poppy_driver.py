@@ -374,7 +374,7 @@ def test_the_first_pose_is_the_posture_of_the_walk(make: Any, monkeypatch: pytes
 
 
 def test_a_robot_that_would_never_move_is_refused(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigError, match="commands come every 0.02 s .* set at least 0.04 s"):
+    with pytest.raises(ConfigError, match=r"commands come every 0.02 s .* set at least 0.04 s"):
         driver_node(make, monkeypatch, CONFIG.updated({"plant.command_timeout": 0.03}))
 
 
