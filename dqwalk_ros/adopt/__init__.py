@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
+from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
@@ -198,20 +198,8 @@ def _adopted(
     )
     model = parse_model(text, robot)
     progress(0.3, "finding its postures")
-    standing = stand(model, anatomy)
-    single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
-    worst, deviation = max(single, key=lambda one: one[1])
-    if deviation > 0.25 * sole.width + 0.005:
-        raise ModelError(
-            f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance from its "
-            f"middle is {1e3 * deviation:.0f} mm{at_limits(model, anatomy, worst)}"
-        )
-    numbers = Numbers.of(model, anatomy, standing, [q for q, _ in single])
-    if numbers.step < _SHORTEST * anatomy.leg:
-        raise ModelError(
-            f"the legs reach steps of {1e3 * numbers.reach:.1f} mm only: "
-            f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
-        )
+    numbers = _numbers(model, anatomy)
+    anatomy = numbers.anatomy
     if numbers.weak:
         for name, effort in numbers.weak.items():
             limit = urdf.joints[name].limit
@@ -255,6 +243,44 @@ def _adopted(
     )  # fmt: skip
     write_text(folder / "adopt.json", json.dumps(_json(found, path), indent=1) + "\n", overwrite=overwrite)
     return found
+
+
+def _numbers(model: RobotModel, anatomy: Anatomy) -> Numbers:
+    """Return the quantities of the walk.
+
+    Where joints are at their limits with the soles as far apart as in the zero posture, the soles are closer.
+
+    Raises
+    ------
+    ModelError
+        If the robot cannot stand on either foot, or cannot step.
+    """
+    problem: ModelError | None = None
+    for apart in distances(anatomy):
+        why = "closer than in the zero posture, or joints are at their limits"
+        more = (Entry("distance of the soles", f"{1e3 * apart:.0f} mm", why, "likely"),) if problem else ()
+        tried = replace(anatomy, apart=apart, evidence=(*anatomy.evidence, *more))
+        try:
+            standing = stand(model, tried)
+            single = [over_one_foot(model, tried, standing, foot) for foot in Foot]
+            worst, deviation = max(single, key=lambda one: one[1])
+            if deviation > 0.25 * anatomy.soles[Foot.LEFT].width + 0.005:
+                raise ModelError(
+                    f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance "
+                    f"from its middle is {1e3 * deviation:.0f} mm{at_limits(model, tried, worst)}"
+                )
+            numbers = Numbers.of(model, tried, standing)
+            if numbers.step < _SHORTEST * anatomy.leg:
+                raise ModelError(
+                    f"the legs reach steps of {1e3 * numbers.reach:.1f} mm only: "
+                    f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
+                )
+        except ModelError as error:
+            problem = problem or error
+            continue
+        return numbers
+    assert problem is not None
+    raise problem
 
 
 def _check_places(path: pathlib.Path, folder: pathlib.Path, *, overwrite: bool) -> None:

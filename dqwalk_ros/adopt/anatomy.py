@@ -28,7 +28,7 @@ from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["Anatomy", "find_anatomy"]
+__all__ = ["Anatomy", "distances", "find_anatomy"]
 
 
 _NEAR_FLOOR = 0.03
@@ -43,6 +43,8 @@ _STRAIGHT = 0.9
 """Least component of an axis that counts as roll, pitch or yaw."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
+_NARROWER = 1.0, 0.75, 0.5
+"""Distances of the soles that are tried, as fractions of the widest one."""
 
 
 @dataclass(frozen=True)
@@ -481,8 +483,20 @@ def _sole_distance(apart: float, hips: float, width: float, leg: float) -> float
 
     `apart` is that of the zero posture, `hips` that of the hips, `width` is that of a sole, `leg` the leg length [m].
     """
-    least = width + 2.0 * _CLEARANCE * leg
+    least = _least_distance(width, leg)
     return float(f"{max(least, min(apart, max(1.5 * hips, least))):.4g}")
+
+
+def _least_distance(width: float, leg: float) -> float:
+    """Return the least distance of the soles' centres of legs that do not touch [m]."""
+    return width + 2.0 * _CLEARANCE * leg
+
+
+def distances(anatomy: Anatomy) -> list[float]:
+    """Return lateral distances of the soles' centres [m] to try, the widest first; without ankle roll there is one."""
+    least = _least_distance(anatomy.soles[Foot.LEFT].width, anatomy.leg)
+    parts = _NARROWER if anatomy.sideways else (1.0,)
+    return [float(f"{part * anatomy.apart:.4g}") for part in parts if part * anatomy.apart >= least or part == 1.0]
 
 
 def _bare_ends(skeleton: Skeleton, pair: tuple[str, str]) -> str:

@@ -21,7 +21,6 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.standing_limits import leg_inertia
-from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.footsteps import Footsteps
 
@@ -90,17 +89,19 @@ class Numbers:
     stuck: tuple[str, ...]
 
     @classmethod
-    def of(cls, model: RobotModel, anatomy: Anatomy, standing: Standing, single: Sequence[Array]) -> Numbers:
-        """Return the quantities; `single`: postures (n,) with the CoM over the left and the right sole [rad]."""
+    def of(cls, model: RobotModel, anatomy: Anatomy, standing: Standing) -> Numbers:
+        """Return the quantities of a robot that stands in the posture `standing`."""
+        config = Config().updated({"gait.step_width": rounded(anatomy.apart, 4)})
+        steps, length = Footsteps(config, model, standing.q), LONGEST * anatomy.leg
         limits, needed = dict(zip(model.joint_names, model.effort_max.tolist(), strict=True)), dict[str, float]()
-        for foot, q in zip(Foot, single, strict=True):
+        for foot in Foot:
+            kin = Kinematics(model, standing.q, foot)
+            q = steps.posture(foot, kin.pose(kin.swing))
             torques = np.abs(gravity_torques(Kinematics(model, q, foot), both=False)).tolist()
             known = zip(model.joint_names, torques, strict=True)
             needed |= {name: torque for name, torque in known if name in anatomy.legs[foot]}
         parts = {name: torque / limits[name] for name, torque in needed.items()}
         joint = max(parts, key=lambda name: parts[name])
-        config = Config().updated({"gait.step_width": rounded(anatomy.apart, 4)})
-        steps, length = Footsteps(config, model, standing.q), LONGEST * anatomy.leg
         reach, stuck = steps.reach(length)
         while reach < 0.95 * length and length > 1e-3:  # a step that is wanted longer may end shorter
             length = max(reach, 0.5 * length)
@@ -147,9 +148,12 @@ class Numbers:
         """Stiffness of the servos, 5 m g h [N m/rad]."""
         return rounded(STIFFNESS * self.mgh)
 
-    def damping(self, stiffness: float, ratio: float = 0.5) -> float:
-        """Return the damping of servos divided by their `stiffness` [s] that gives a swinging leg a damping `ratio`."""
-        return rounded(2.0 * ratio * math.sqrt(self.inertia / stiffness), 2)
+    def damping(self, stiffness: float, ratio: float = 0.5, armature: float = Config().servo.armature) -> float:
+        """Return the damping of servos divided by their `stiffness` [s] that gives a swinging leg a damping `ratio`.
+
+        The `armature` of the servos [kg m^2] swings with the leg; that of a small robot is the larger part.
+        """
+        return rounded(2.0 * ratio * math.sqrt((self.inertia + armature) / stiffness), 2)
 
     @property
     def margin(self) -> float:
@@ -327,7 +331,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry(
             "servo.damping",
             n.damping(n.stiffness),
-            f"a damping ratio of 0.5 for a leg of {n.inertia:.3g} kg m^2",
+            f"a damping ratio of 0.5 for a leg of {n.inertia:.3g} kg m^2 and the rotors",
             "guess",
         ),
         Entry("servo.torque_scale", 1.0, "the effort limits of robot.urdf", "likely"),
@@ -369,6 +373,8 @@ def drive_parameters(drives: Mapping[str, MjcfDrive], numbers: Numbers) -> tuple
     values = {f"servo.{key}": rounded(armature) for key in ("armature", "assumed_armature")}
     values["servo.friction"] = rounded(friction)
     values = {key: value for key, value in values.items() if value > 0.0}
+    rotor = values.get("servo.armature", Config().servo.armature)
+    values["servo.damping"] = numbers.damping(numbers.stiffness, 0.5, rotor)
     if not stiffness > 0.0:
         return values, []
     part, source = stiffness / numbers.mgh, "median of the legs' position actuators"
@@ -377,8 +383,8 @@ def drive_parameters(drives: Mapping[str, MjcfDrive], numbers: Numbers) -> tuple
         source += f": below {STIFFEST_FALL:g} m g h robots fall, so {STIFFNESS:g} m g h are assumed"
         return values, [Entry(entry.what, entry.value, source, "guess")]
     values |= {"servo.stiffness": rounded(stiffness), "servo.assumed_stiffness": rounded(stiffness)}
-    ratio = 0.5 * damping / math.sqrt(stiffness * (numbers.inertia + armature))
-    values["servo.damping"] = rounded(damping / stiffness) if ratio > 0.3 else numbers.damping(stiffness)
+    ratio = 0.5 * damping / math.sqrt(stiffness * (numbers.inertia + rotor))
+    values["servo.damping"] = rounded(damping / stiffness) if ratio > 0.3 else numbers.damping(stiffness, 0.5, rotor)
     return values, [entry]
 
 

@@ -89,7 +89,7 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
                 f"{skeleton.lacking(foot_links(skeleton, legs[foot][-1]))}"
             )
     left, right = (found[foot] for foot in Foot)
-    turn = float(np.linalg.norm((left.placed(skeleton).conj() * right.placed(skeleton)).rotation_vector()))
+    turn = _turned(left.placed(skeleton), right.placed(skeleton))
     ratio = max(_ratio(left.length, right.length), _ratio(left.width, right.width))
     if ratio > _UNLIKE or turn > _TILTED:
         raise ModelError(
@@ -101,6 +101,13 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
         found = {foot: replace(sole, source=sole.source + why, confidence="guess") for foot, sole in found.items()}
     length, width = (min(getattr(sole, key) for sole in found.values()) for key in ("length", "width"))
     return {foot: replace(sole, length=length, width=width) for foot, sole in found.items()}
+
+
+def _turned(left: DQ, right: DQ) -> float:
+    """Return the angle between a sole and the mirror image of the other one, or a copy of it if that is less [rad]."""
+    w, x, y, z = left.vec8()[:4]
+    mirrored = DQ([w, -x, y, -z, 0.0, 0.0, 0.0, 0.0])  # a rotation seen in the mirror of the plane y = 0
+    return min(float(np.linalg.norm((one.conj() * right).rotation_vector())) for one in (mirrored, left))
 
 
 def _ratio(a: float, b: float) -> float:

@@ -149,13 +149,13 @@ def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterato
     servo, standing = config.servo, config.standing
     stiffness = rounded(8.0 * numbers.mgh)
     known: dict[str, tuple[str, dict[str, Any]]] = {
-        "damping": ("a damping ratio of 0.8", {"servo.damping": numbers.damping(servo.stiffness, 0.8)}),
+        "damping": ("a damping ratio of 0.8", {"servo.damping": numbers.damping(servo.stiffness, 0.8, servo.armature)}),
         "stiffness": (
             "a stiffness of 8 m g h, a damping ratio of 0.8",
             {
                 "servo.stiffness": stiffness,
                 "servo.assumed_stiffness": stiffness,
-                "servo.damping": numbers.damping(stiffness, 0.8),
+                "servo.damping": numbers.damping(stiffness, 0.8, servo.armature),
             },
         ),
         "pressure": (

@@ -6,6 +6,7 @@ description that was cloned or unpacked can be used without installing it.
 
 from __future__ import annotations
 
+import glob
 import os
 import pathlib
 import urllib.parse
@@ -111,9 +112,13 @@ def find_package_file(
     parts = pathlib.PurePosixPath(rest.replace("\\", "/").lstrip("/")).parts
     tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1) if ".." not in parts[k:]]
     found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
-    if not separator and parts:
+    if parts:
         tails.append(pathlib.PurePosixPath(parts[-1]))
         found += [pathlib.Path(place) / tail for place in places for tail in tails]
+        # the only file of this name near the URDF, whose folders have other names
+        folder, name = near.resolve().parent, glob.escape(parts[-1])
+        alike = [*folder.glob(name), *folder.glob(f"*/{name}"), *folder.parent.glob(f"*/{name}")]
+        found += alike if len(set(alike)) == 1 else []
     return next((place for place in found if _is_file(place)), None)
 
 

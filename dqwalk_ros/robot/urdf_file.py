@@ -208,7 +208,7 @@ def _wrong_numbers(element: ElementTree.Element) -> Iterator[str]:
                 value = math.nan
             if math.isnan(value) or (abs(value) > LARGEST and element.tag != "limit"):
                 yield f"{where} has {key} = '{word[:80]}', which is no number that a robot has"
-            elif value < 0.0 and element.tag in ("box", "cylinder", "capsule", "sphere"):
+            elif value < 0.0 and key in ("size", "radius"):
                 yield f"{where} has a negative size"
 
 

@@ -100,7 +100,8 @@ def test_position_gains_are_the_stiffness_unless_they_are_too_soft_to_stand(tmp_
     assert servo.damping == pytest.approx(1.4 / 70.0, rel=0.01)
     soft = dict.fromkeys(found.anatomy.legs[Foot.LEFT], MjcfDrive(7.0, 0.2, 0.005, 0.0))
     values, (entry,) = drive_parameters(soft, found.numbers)
-    assert values == {"servo.armature": 0.005, "servo.assumed_armature": 0.005}
+    damping = found.numbers.damping(found.numbers.stiffness, 0.5, 0.005)
+    assert values == {"servo.armature": 0.005, "servo.assumed_armature": 0.005, "servo.damping": damping}
     assert (entry.value.split(",")[0], entry.confidence) == ("7 N m/rad", "guess")
 
 

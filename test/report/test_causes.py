@@ -149,7 +149,7 @@ def test_changes_against_the_cause_come_first() -> None:
         mgh = 12.0
 
         @staticmethod
-        def damping(stiffness: float, ratio: float) -> float:
+        def damping(stiffness: float, ratio: float, armature: float) -> float:
             return 1.0 / stiffness
 
     def order(*what: str) -> list[list[str]]:

@@ -104,6 +104,10 @@ REPAIRED = {
     "equal limits": (robot(A, B, joint(more='<limit lower="1" upper="1"/>')), "no range, .*: fixed there"),
     "no effort": (robot(A, B, joint(more='<limit upper="1" effort="0"/>')), "effort limit 0: taken as none"),
     "limits beyond": (robot(A, B, joint(more='<limit lower="1e9" upper="1e9" effort="1e7"/>')), ""),
+    "negative length": (
+        robot(link("a", more='<visual><geometry><cylinder radius="1" length="-2"/></geometry></visual>')),
+        "line 2: <cylinder> has the negative length -2: taken as positive",
+    ),
     "capsule": (
         robot(link("a", more='<collision><geometry><capsule radius="1" length="2"/></geometry></collision>')),
         "line 2: <capsule> is taken as a cylinder of the same extent",
@@ -232,6 +236,12 @@ def test_package_files_are_found_near_the_description(tmp_path: Path, monkeypatc
     assert find_package_file("../../meshes/foot.stl", near).resolve() == mesh
     assert find_package_file(f"file://{mesh}", near) == mesh
     assert find_package_file("package://my_robot/meshes/hand.stl", near) is None
+    assert find_package_file("file://my_robot/stl/foot.stl", near) is None
+    assert find_package_file("file://my_robot/stl/foot.stl", near, [mesh.parent]) == mesh
+    beside = near.parent / "other.urdf"
+    assert find_package_file("file://my_robot/stl/foot.stl", beside.parent) == mesh  # the only one of its name
+    (near.parent.parent / "foot.stl").write_text("")
+    assert find_package_file("file://my_robot/stl/foot.stl", beside.parent) is None
     installed = tmp_path / "prefix" / "share" / "their_robot"
     installed.mkdir(parents=True)
     (installed / "a.stl").write_text("")
