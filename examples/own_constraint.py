@@ -33,8 +33,8 @@ class ComAbove(Constraint):
 class HighWalk(PaperWalk):
     """The paper's walk with one more inequality in double support."""
 
-    def both_feet(self, kind, support, q_start):
-        phase = super().both_feet(kind, support, q_start)
+    def both_feet(self, kind, support, kin):
+        phase = super().both_feet(kind, support, kin)
         high = ComAbove(name="com_above", eta=5.0, height=0.27)
         return dataclasses.replace(phase, inequalities=(*phase.inequalities, high))
 

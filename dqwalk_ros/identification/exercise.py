@@ -330,14 +330,14 @@ class Exercise(Walk):
         """Return the only phase; None after it."""
         return Next(PhaseKind.STANCE, Foot.LEFT) if phase is None else None
 
-    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
+    def both_feet(self, kind: PhaseKind, support: Foot, kin: Kinematics) -> Phase:
         """Return the phase of the exercise."""
         return Phase(
             model=self.model,
             kind=kind,
             support=support,
-            base=support.other,
-            q_start=q_start,
+            base=kin.base,
+            q_start=kin.q,
             swing_target=None,
             eta=self.config.task.eta,
             damping=1e-6,
@@ -348,7 +348,7 @@ class Exercise(Walk):
             rule=Timed(len(self._path) * _GRID),
         )
 
-    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
+    def one_foot(self, support: Foot, kin: Kinematics, swing_target: Array) -> Phase:
         """Raise ConfigError: an exercise has no single support."""
         raise ConfigError("an exercise has no single support")
 

@@ -17,6 +17,7 @@ from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.verdict import Assessor
@@ -79,7 +80,7 @@ class PhasePublisher:
         self._pub["phase_start"].publish(start)
         self._pub["support_foot"].publish(String(data=phase.support.value))
         if phase.swing_target is None:
-            goal = com_target(model, phase.kind, phase.base, phase.q_start)
+            goal = com_target(phase.kind, Kinematics(model, phase.q_start, phase.base))
             self._pub["com_target"].publish(ros.point(self._began, frame, goal))
         self._publish_target(phase)
         self.show(phase.name)
@@ -248,7 +249,8 @@ class PhaseLog:
         try:
             q = self.reader.state(start).q
             if kind is PhaseKind.DOUBLE_SUPPORT:  # a stance has a com_target as well, but at another point
-                goal = {k: com_target(self.model, k, base, q)[:2] for k in (kind, PhaseKind.STANCE)}
+                kin = Kinematics(self.model, q, base)
+                goal = {k: com_target(k, kin)[:2] for k in (kind, PhaseKind.STANCE)}
                 kind, target = min(goal, key=lambda k: float(np.abs(goal[k] - target).max())), None
             config = self._tuned.get(max((key for key in self._tuned if key <= began), default=-1), self.config)
             phase = make_walk(config, self.model).phase(kind, support, q, target)

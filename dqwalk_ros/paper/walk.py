@@ -128,20 +128,20 @@ class Walk(ABC):
         ValueError
             If the swing target of a single support is missing.
         """
-        q = np.array(q_start, dtype=np.float64)
         if kind is not PhaseKind.SINGLE_SUPPORT:
-            return self.both_feet(kind, support, q)
+            return self.both_feet(kind, support, Kinematics.measured(self.model, q_start, support.other, up))
         if swing_target is None:
             raise ValueError("a single support needs a swing target")
-        return self.one_foot(support, q, np.array(swing_target, dtype=np.float64))
+        kin = Kinematics.measured(self.model, q_start, support, up)
+        return self.one_foot(support, kin, np.array(swing_target, dtype=np.float64))
 
     @abstractmethod
-    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
-        """Return a phase with both feet on the ground, which begins at `q_start` (n,) [rad]."""
+    def both_feet(self, kind: PhaseKind, support: Foot, kin: Kinematics) -> Phase:
+        """Return a phase with both feet on the ground, which begins at `kin`, in the frame of the other foot's sole."""
 
     @abstractmethod
-    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
-        """Return the single support on `support` from `q_start` (n,) that swings the other foot to a pose (8,)."""
+    def one_foot(self, support: Foot, kin: Kinematics, swing_target: Array) -> Phase:
+        """Return the single support from `kin`, in the frame of its sole, that swings the other foot to a pose (8,)."""
 
     def _phase(
         self,
@@ -299,12 +299,10 @@ class PaperWalk(Walk):
         y = -width if support is Foot.LEFT else width
         return DQ.from_pose([self.config.gait.step_length, y, 0.0]).vec8()
 
-    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
+    def both_feet(self, kind: PhaseKind, support: Foot, kin: Kinematics) -> Phase:
         """Return the double support that brings the CoM over the foot `support`, section 4.1."""
         dsp, model = self.config.dsp, self.model
-        base = support.other
-        kin = Kinematics(model, q_start, base)
-        base_sole, end_sole = model.soles[base], model.soles[support]
+        base_sole, end_sole = model.soles[kin.base], model.soles[support]
         end = end_sole.frame
         tip, heel, center = (Point(end, offset) for offset in (end_sole.tip, end_sole.heel, end_sole.center))
 
@@ -330,23 +328,22 @@ class PaperWalk(Walk):
             ),  # (U7)
             wall("tip_plane", dsp.eta_tip, base_sole.tip, tip, base_sole.heel),  # (U9)
             wall("back_plane", dsp.eta_back, base_sole.heel, heel, base_sole.tip),  # (U10)
-            pelvis_height(self.config, model),  # (U11)
+            pelvis_height(self.config, model),
         )
         task, kind = ComOverFoot(name="com", foot=center), PhaseKind.DOUBLE_SUPPORT
         rule = EndRule(self.config, f"{kind.value}/{support.value}", double=True)
         return self._phase(kind, support, kin, None, (task,), tuple(ground), inequalities, rule=rule)
 
-    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
+    def one_foot(self, support: Foot, kin: Kinematics, swing_target: Array) -> Phase:
         """Return the single support on the foot `support` that swings the other one to its target, section 4.2."""
         ssp, model = self.config.ssp, self.model
-        kin = Kinematics(model, q_start, support)
         cylinder = Cylinder(Line.through(model.soles[support].center, Z), ssp.com_radius)
         look = _LOOKS["com_cylinder"]
         inequalities = (
             PointInCylinder(
                 name="com_cylinder", eta=ssp.eta_com, point=CenterOfMass(), cylinder=cylinder, look=look
             ),  # (U14)
-            pelvis_height(self.config, model),  # (U11)
+            pelvis_height(self.config, model),
         )
         task, kind = FramePose(name="swing", frame=kin.swing, target=swing_target), PhaseKind.SINGLE_SUPPORT
         rule = EndRule(self.config, f"{kind.value}/{support.value}", double=False)
@@ -355,8 +352,7 @@ class PaperWalk(Walk):
 
 def pelvis_height(config: Config, model: RobotModel) -> Constraint:
     """Return the constraint (U11): the pelvis stays above ``pelvis.height``."""
-    plane = Plane(Z, config.pelvis.height)
-    look = _LOOKS["pelvis"]
+    plane, look = Plane(Z, config.pelvis.height), _LOOKS["pelvis"]  # (U11)
     return PointOverPlane(name="pelvis", eta=config.pelvis.eta, point=Point(model.pelvis), plane=plane, look=look)
 
 
@@ -369,13 +365,13 @@ def joint_limits(config: Config, model: RobotModel, return_speed: float = np.inf
     )
 
 
-def com_target(model: RobotModel, kind: PhaseKind, base: Foot, q_start: Array) -> Array:
-    """Return the goal of the CoM on the ground in a double support, shape (3,) [m], in the frame of the base sole.
+def com_target(kind: PhaseKind, kin: Kinematics) -> Array:
+    """Return the goal of the CoM on the ground in a double support that begins at `kin`, in its base frame (3,) [m].
 
-    It is the centre of the other sole at the start of the phase; in a stance, the middle between both soles.
+    It is the centre of the other sole; in a stance, the middle between both soles.
     """
-    end = model.soles[base.other]
-    goal = Kinematics(model, q_start, base).point(end.frame, end.center)
+    base, end = (kin.model.soles[foot] for foot in (kin.base, kin.base.other))
+    goal = kin.point(end.frame, end.center)
     if kind is PhaseKind.STANCE:
-        goal = 0.5 * (goal + model.soles[base].center)
+        goal = 0.5 * (goal + base.center)
     return np.array([goal[0], goal[1], 0.0])

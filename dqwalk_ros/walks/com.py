@@ -50,7 +50,7 @@ def com_velocity(kin: Kinematics, state: State, share: float = 0.0) -> Array:
 
 
 @jit
-def moving_com(com, J_com, lines, poses, sensor, dq, gyro):  # type: ignore[no-untyped-def]
+def moving_com(com: Array, J_com: Array, lines: Array, poses: Array, sensor: Sensor, dq: Array, gyro: Array) -> Array:
     """Return the velocity of the CoM, or of another point, including that by a rotation of the base sole, (3,) [m/s].
 
     Without a measured angular velocity `gyro` (empty) the base sole is assumed to be at rest.
@@ -66,17 +66,17 @@ def moving_com(com, J_com, lines, poses, sensor, dq, gyro):  # type: ignore[no-u
     return v
 
 
-@jit
-def _along_ground(v, up):  # type: ignore[no-untyped-def]
-    """Return the projection of a vector (3,) on the ground along the vertical `up` (3,), shape (2,)."""
-    return v[:2] - v[2] / up[2] * up[:2]
+def com_and_xi(kin: Kinematics, state: State, omega: Array, share: float = 0.0) -> tuple[Array, Array]:
+    """Return the projection c (2,) of the CoM on the ground along the vertical, and xi = c + c'/w (2,) [m].
 
-
-@jit
-def com_and_xi(com, velocity, up, omega):  # type: ignore[no-untyped-def]
-    """Return the projection c (2,) of the CoM (3,) on the ground along the vertical `up` (3,), and xi = c + c'/w (2,).
-
-    `velocity` (3,) is that of the CoM [m/s], and `omega` (2,) are the frequencies of the pendulum [1/s].
+    `omega` (2,) are the frequencies w of the pendulum [1/s]; `share` as in `com_velocity`.
     """
-    c = _along_ground(com, up)
-    return c, c + _along_ground(velocity, up) / omega
+    c, v = _along_ground(kin.com, com_velocity(kin, state, share), kin.up)
+    return c, c + v / omega
+
+
+@jit
+def _along_ground(com: Array, velocity: Array, up: Array) -> tuple[Array, Array]:
+    """Return the projections (2,) of the CoM (3,) and of its velocity (3,) on the ground along the vertical (3,)."""
+    along = up[:2]
+    return com[:2] - com[2] / up[2] * along, velocity[:2] - velocity[2] / up[2] * along

@@ -39,8 +39,8 @@ class ComAbove(Constraint):
 class HighWalk(PaperWalk):
     """The paper's walk, with the centre of mass held high in double support."""
 
-    def both_feet(self, kind, support, q_start):
-        phase = super().both_feet(kind, support, q_start)
+    def both_feet(self, kind, support, kin):
+        phase = super().both_feet(kind, support, kin)
         look = Look("CoM over the table", (1, 2, 3))
         high = ComAbove(name="com_above", eta=5.0, height=0.25, look=look)
         return dataclasses.replace(phase, inequalities=(*phase.inequalities, high))
@@ -62,7 +62,7 @@ class StandingFirst(PaperWalk):
     def following(self, phase, kin):
         return Next(PhaseKind.STANCE, Foot.LEFT) if phase is None else super().following(phase, kin)
 
-    def both_feet(self, kind, support, q_start):
-        phase = super().both_feet(kind, support, q_start)
+    def both_feet(self, kind, support, kin):
+        phase = super().both_feet(kind, support, kin)
         stance = kind is PhaseKind.STANCE
         return dataclasses.replace(phase, kind=kind, rule=Lasts(0.1)) if stance else phase

@@ -351,7 +351,7 @@ def test_on_a_slope_distances_are_along_the_measured_vertical(tmp_path) -> None:
 def test_a_distance_that_returns_at_a_fixed_speed_is_no_violation() -> None:
     """The bound of a disturbed distance is the motion that the quadratic program requires of it, tick by tick."""
     q = somewhere(1)
-    phase = make_walk(CONFIG, MODEL).both_feet(PhaseKind.STANCE, Foot.LEFT, q)
+    phase = make_walk(CONFIG, MODEL).phase(PhaseKind.STANCE, Foot.LEFT, q)
     row = next(row for row in phase.constraints if row.name == "edges")
     d, start = -0.05, -0.05
     for tick in range(800):

@@ -150,7 +150,7 @@ def _phase_start(model: RobotModel, record: PhaseRecord, stamp: Stamps) -> list[
     ]
     if record.swing_target is not None:
         return [*found, ("swing_target", stamp, pack_poses(stamp, frame, record.swing_target[None]))]
-    target = com_target(model, record.kind, record.base, record.q_start)
+    target = com_target(record.kind, Kinematics(model, record.q_start, record.base))
     return [*found, ("com_target", stamp, pack(stamped(TOPICS["com_target"].type, frame), stamp, target[None]))]
 
 

@@ -17,7 +17,7 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.com import com_and_xi, com_velocity
+from dqwalk_ros.walks.com import com_and_xi
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.footprint import Footprint
 from dqwalk_ros.walks.standing.walk import StandingWalk
@@ -122,7 +122,7 @@ class RecoveringWalk(StandingWalk):
     def _beyond_sole(self, kin: Kinematics, state: State) -> float:
         """Return how far xi is beyond what the base sole supports, ahead, back or towards the swing foot [m]."""
         steps, sole = self.steps, self.model.soles[kin.base]
-        _, xi = com_and_xi(kin.com, com_velocity(kin, state), kin.up, steps.pendulum.omega)
+        _, xi = com_and_xi(kin, state, steps.pendulum.omega)
         x, y = (xi - sole.center[:2]).tolist()
         inward = -y if kin.base is Foot.LEFT else y
         along = abs(x) - 0.5 * sole.length + steps.config.dynamic.catch_margin

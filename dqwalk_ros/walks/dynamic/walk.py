@@ -29,7 +29,7 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.com import com_and_xi, com_velocity
+from dqwalk_ros.walks.com import com_and_xi
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.force import approached, converging, ground_force, leg_torques
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
@@ -152,7 +152,7 @@ class DynamicWalk(SteppingWalk):
         """Check the footsteps; compute the constants of the pendulum and of the swing leg, in the initial posture."""
         super().prepare()
         kin = Kinematics(self.model, self.posture, self._first)
-        found = InvertedPendulum.of(self.one_foot(self._first, self.posture, kin.pose(kin.swing)), kin)
+        found = InvertedPendulum.of(self.one_foot(self._first, kin, kin.pose(kin.swing)), kin)
         self.pendulum = replace(found, omega=found.omega * np.array([1.0, self.config.dynamic.side_frequency]))
         self._now, self._inertia = Pendulum(self.pendulum.omega, self._drive.delay, self.config.dt), {}
         for base in Foot:
@@ -247,10 +247,9 @@ class DynamicWalk(SteppingWalk):
 
     # ------------------------------------------------------------------ phases
 
-    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
+    def both_feet(self, kind: PhaseKind, support: Foot, kin: Kinematics) -> Phase:
         """Return the phase that moves the CoM to the sole of `support`, or in a stance to the middle of both soles."""
-        kin = Kinematics(self.model, q_start, support.other)
-        goal = com_target(self.model, kind, kin.base, q_start)[:2]
+        goal = com_target(kind, kin)[:2]
         d, s = self.config.dynamic, self.config.standing
         stance = kind is PhaseKind.STANCE
         rule = Timed(d.stop_duration if stance else s.transfer_duration, lambda: stance and self._is_idle)
@@ -259,11 +258,9 @@ class DynamicWalk(SteppingWalk):
             kind, support, kin, None, tasks, (self._held(kin),), (), rule=rule, joint_return=JOINT_RETURN
         )
 
-    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
+    def one_foot(self, support: Foot, kin: Kinematics, swing_target: Array) -> Phase:
         """Return the single support on the foot `support` in which the other foot moves to `swing_target` (8,)."""
-        s = self.config.standing
-        kin = Kinematics(self.model, q_start, support)
-        x = DQ(swing_target)
+        s, x = self.config.standing, DQ(swing_target)
         # here, so that a monitor, which has the phases only, knows it, too
         self._on_stairs |= bool(stair_height(float(x.translation()[2]), self.config))
         task = FollowPose(
@@ -325,7 +322,7 @@ class DynamicWalk(SteppingWalk):
         omega, up, now = self.pendulum.omega, kin.up, self._now
         dt = state.time - self._time
         self._time = state.time
-        c, xi = com_and_xi(kin.com, com_velocity(kin, state, self._share(phase, state)), up, omega)
+        c, xi = com_and_xi(kin, state, omega, self._share(phase, state))
         if not 0.0 <= dt <= _GAP:
             dt = 0.0
             now.reset(c, xi, xi if self._descends else c)

@@ -7,10 +7,8 @@ of its edges is a plane, "as many planes as necessary" (section 3.1 [Urban2020])
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import ComInsideEdges, Constraint, PointsOverPlane
@@ -95,26 +93,9 @@ class StandingWalk(SteppingWalk):
 
     # ------------------------------------------------------------------ phases
 
-    def phase(
-        self,
-        kind: PhaseKind,
-        support: Foot,
-        q_start: ArrayLike,
-        swing_target: ArrayLike | None = None,
-        up: Array | None = None,
-    ) -> Phase:
-        """Return the phase that begins at `q_start`; its CoM path begins at the CoM's projection along gravity."""
-        phase = super().phase(kind, support, q_start, swing_target, up)
-        if up is None:
-            return phase
-        start = Kinematics.measured(self.model, phase.q_start, phase.base, up).com_on_ground
-        tasks = (replace(task, start=start) if isinstance(task, ComPath) else task for task in phase.tasks)
-        return replace(phase, tasks=tuple(tasks))
-
-    def both_feet(self, kind: PhaseKind, support: Foot, q_start: Array) -> Phase:
+    def both_feet(self, kind: PhaseKind, support: Foot, kin: Kinematics) -> Phase:
         """Return the phase that brings the CoM over the sole of `support`, in a stance between both soles."""
         s, model = self.config.standing, self.model
-        kin = Kinematics(model, q_start, support.other)
         base, end = model.soles[kin.base], model.soles[kin.base.other]
         over = tuple(model.soles.values()) if kind is PhaseKind.STANCE else (end,)
         pose = flat(kin.pose(end.frame))
@@ -134,10 +115,9 @@ class StandingWalk(SteppingWalk):
             kind, support, kin, None, (com,), (self._held(kin),), rows, rule=rule, joint_return=JOINT_RETURN
         )
 
-    def one_foot(self, support: Foot, q_start: Array, swing_target: Array) -> Phase:
+    def one_foot(self, support: Foot, kin: Kinematics, swing_target: Array) -> Phase:
         """Return the single support on the foot `support` that swings the other one to its target."""
         s, model = self.config.standing, self.model
-        kin = Kinematics(model, q_start, support)
         sole, swing = model.soles[support], model.soles[support.other]
         inequalities: tuple[Constraint, ...] = (
             self._edges(ConvexPolygon.hull(sole.corners)),
