@@ -214,7 +214,7 @@ class VelocityController:
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
         state.elapsed += self._drive.delay
-        self.problem = now.problem  # (U6)
+        self.problem = now.problem
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
         u = _within(u, self._u, self.model.velocity_max)

@@ -158,7 +158,7 @@ def _evaluate(q: Array, s: Array, stack: _Stack, elapsed: float, values: Array) 
         values[first:last], stack.gradients[first:last, begin:end], stack.rates[first:last] = _call(
             stack.functions[k], s[begin:end], stack.parameters[start:stop], elapsed
         )
-    for k in range(limits, limits + 2):  # (U12), (U13): bounds of u, whose gradients are known
+    for k in range(limits, limits + 2):  # bounds of u, whose gradients are known
         first, last, _, _, start, stop = stack.spans[k]
         values[first:last], _, _ = _call(stack.functions[k], q, stack.parameters[start:stop], elapsed)
 
@@ -172,7 +172,7 @@ def _fill(values: Array, J: Array, stack: _Stack, form: _Form, dt: float, veloci
     for k in range(form.tasks.shape[0]):
         rows = slice(stack.spans[k, 0], stack.spans[k, 1])
         wanted[rows] = converge(values[rows], form.tasks[k, 0], form.tasks[k, 1]) - stack.rates[rows]
-    objective(form.sqrt_weights.reshape((r, 1)) * J[:r], form.sqrt_weights * wanted, form.damping, H, c)  # (U6)
+    objective(form.sqrt_weights.reshape((r, 1)) * J[:r], form.sqrt_weights * wanted, form.damping, H, c)
     right = vfi(values[r:], form.rows[0], form.rows[1], form.rows[2], dt)
     w[:] = right[:m]
     w[:equalities] = np.maximum(w[:equalities], -form.rows[2, :equalities])

@@ -57,8 +57,6 @@ __all__ = [
 
 _MARGIN = 1.25
 """Height of a drawn region, relative to the height of the constrained point."""
-_FULL_ANGLE = math.pi / 6.0
-"""Distance of a joint from its limit for which a gauge is full [rad]."""
 
 
 @dataclass(frozen=True)
@@ -464,19 +462,11 @@ def above_minimum(q: Array, q_min: Array, elapsed: float) -> tuple[Array, Array,
     return q - q_min, np.eye(q.shape[0]), np.zeros(q.shape[0])
 
 
-@dataclass(frozen=True, kw_only=True)
-class JointMaximum(Constraint):
-    """Upper joint limits `q_max` (n,), (U12): q_max - q >= 0 [rad]."""
+class _OfAllJoints(Constraint):
+    """A constraint with one row per joint [rad]."""
 
-    q_max: Array
     watches = (JointAngles(),)
     unit = "rad"
-    function = below_maximum
-
-    @property
-    def parameters(self) -> Array:
-        """The limits, shape (n,) [rad]."""
-        return self.q_max
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """One name per joint, such as ``joint_max/l_knee_y``."""
@@ -484,22 +474,29 @@ class JointMaximum(Constraint):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointMinimum(Constraint):
+class JointMaximum(_OfAllJoints):
+    """Upper joint limits `q_max` (n,), (U12): q_max - q >= 0 [rad]."""
+
+    q_max: Array
+    function = below_maximum
+
+    @property
+    def parameters(self) -> Array:
+        """The limits, shape (n,) [rad]."""
+        return self.q_max
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointMinimum(_OfAllJoints):
     """Lower joint limits `q_min` (n,), (U13): q - q_min >= 0 [rad]."""
 
     q_min: Array
-    watches = (JointAngles(),)
-    unit = "rad"
     function = above_minimum
 
     @property
     def parameters(self) -> Array:
         """The limits, shape (n,) [rad]."""
         return self.q_min
-
-    def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
-        """One name per joint, such as ``joint_min/l_knee_y``."""
-        return tuple(f"{self.name}/{joint}" for joint in joint_names)
 
 
 def facing(p: Array, z: Array) -> Array:

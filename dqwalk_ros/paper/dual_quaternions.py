@@ -240,10 +240,6 @@ class DQ:
     def __repr__(self) -> str:
         return f"DQ({np.array2string(self._h, precision=6, suppress_small=True)})"
 
-    def hamiplus8(self) -> Array:
-        """H+8 with vec8(ab) = hamiplus8(a) vec8(b); shape (..., 8, 8)."""
-        return _blocks(_left(self._h[..., :4]), _left(self._h[..., 4:]))
-
     def haminus8(self) -> Array:
         """H-8 with vec8(ab) = haminus8(b) vec8(a), the operator of (U3); shape (..., 8, 8)."""
         return _blocks(_right(self._h[..., :4]), _right(self._h[..., 4:]))

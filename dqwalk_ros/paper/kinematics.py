@@ -109,7 +109,7 @@ def rotate(x: Array, v: Array, out: Array) -> None:
 def _translation(x: Array, out: Array) -> None:
     """Fill `out` (3,) with the position p = 2 D(x) P(x)* of the pose x = r + eps 1/2 p r (U1)."""
     t = quaternion_product(x[4], x[5], x[6], x[7], x[0], -x[1], -x[2], -x[3])
-    out[0], out[1], out[2] = 2.0 * t[1], 2.0 * t[2], 2.0 * t[3]
+    out[0], out[1], out[2] = 2.0 * t[1], 2.0 * t[2], 2.0 * t[3]  # (U1)
 
 
 @jit
@@ -208,7 +208,7 @@ def pose_jacobian(lines: Array, moves: Mask, x: Array, J: Array) -> None:
     line, column = np.zeros(8), np.empty(8)
     for i in range(lines.shape[0]):
         if moves[i]:
-            line[1:4], line[5:8] = 0.5 * lines[i, :3], 0.5 * lines[i, 3:]
+            line[1:4], line[5:8] = 0.5 * lines[i, :3], 0.5 * lines[i, 3:]  # (U3)
             multiply(line, x, column)
             J[:, i] = column
 

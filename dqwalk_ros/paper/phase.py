@@ -189,9 +189,9 @@ class Phase:
         """
         return self.assembly(q, up, elapsed, dt, velocity)
 
-    def distances(self, q: Array, up: Array = Z) -> dict[str, float]:
+    def distances(self, q: Array) -> dict[str, float]:
         """Return each signed distance minus its bound at `q` (n,), by name; see `Evaluation.distances`."""
-        return self.evaluate(q, up).distances()
+        return self.evaluate(q).distances()
 
 
 _STALLED_WINDOWS = 10

@@ -76,7 +76,6 @@ def test_conjugate_and_primary_and_dual_parts(a, b):
 def test_hamilton_operators(a, b):
     product = (a * b).vec8()
     tol = 1e-12 * max(1.0, np.abs(product).max())
-    np.testing.assert_allclose(a.hamiplus8() @ b.vec8(), product, rtol=0, atol=tol)
     np.testing.assert_allclose(b.haminus8() @ a.vec8(), product, rtol=0, atol=tol)
 
 
@@ -197,7 +196,6 @@ def test_arrays_of_any_leading_shape():
     assert x.translation().shape == (4, 5, 3)
     assert x.transform_point(p).shape == (4, 5, 3)
     np.testing.assert_allclose(x.log().exp().vec8(), x.vec8(), atol=1e-12)
-    np.testing.assert_allclose(DQ(a).hamiplus8() @ b[..., None], product[..., None], atol=1e-13)
 
 
 def test_quaternion_functions():

@@ -6,8 +6,10 @@ fast as the paper's. If a second copy of the formula were executed instead, both
 
 from __future__ import annotations
 
+import re
+
 import pytest
-from mutated import changed, changes_output, copy_package, output_of
+from mutated import ROOT, changed, changes_output, copy_package, output_of
 
 PLACES = {
     "(U1)": ("dqwalk_ros/paper/kinematics.py", "2.0 * t[1], 2.0 * t[2]", "2.1 * t[1], 2.0 * t[2]"),
@@ -40,8 +42,10 @@ PLACES = {
         "point_to_wall(s, a[:3], -a[3])",
     ),
     "(U11)": ("dqwalk_ros/paper/walk.py", "Plane(Z, config.pelvis.height)", "Plane(Z, 1.1 * config.pelvis.height)"),
-    "(U12)": ("dqwalk_ros/paper/constraints.py", "return q_max - q,", "return 0.9 * q_max - q,"),
-    "(U13)": ("dqwalk_ros/paper/constraints.py", "return q - q_min,", "return q - 0.9 * q_min,"),
+    "(U12)": ("dqwalk_ros/paper/walk.py", "q_max=model.q_max", "q_max=0.9 * model.q_max"),
+    "(U13)": ("dqwalk_ros/paper/walk.py", "q_min=model.q_min", "q_min=0.9 * model.q_min"),
+    "q_max - q of (U12)": ("dqwalk_ros/paper/constraints.py", "return q_max - q,", "return 0.9 * q_max - q,"),
+    "q - q_min of (U13)": ("dqwalk_ros/paper/constraints.py", "return q - q_min,", "return q - 0.9 * q_min,"),
     "(U14)": (
         "dqwalk_ros/paper/walk.py",
         'name="com_cylinder", eta=ssp.eta_com',
@@ -82,6 +86,20 @@ print([(phase.name, round(phase.time, 6)) for phase in trace.phases], trace.note
 @pytest.mark.parametrize("tag", PLACES)
 def test_each_tag_marks_one_line(tag):
     assert changed(tag, *PLACES[tag])
+
+
+def test_one_comment_marks_each_equation_at_the_line_that_is_changed():
+    marks = [
+        (number, str(file.relative_to(ROOT)), row)
+        for file in sorted((ROOT / "dqwalk_ros").rglob("*.py"))
+        for row, line in enumerate(file.read_text(encoding="utf-8").splitlines())
+        for number in re.findall(r"# \(U(\d+)\)", line)
+    ]
+    assert sorted(int(number) for number, _, _ in marks) == list(range(1, 15))
+    for number, file, row in marks:
+        name, line, _ = PLACES[f"(U{number})"]
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert (name, True) == (file, abs(text[: text.index(line)].count("\n") - row) <= 3), number
 
 
 @pytest.mark.long

@@ -56,7 +56,7 @@ def objective(J: Array, rate: Array, damping: float, H: Array, c: Array) -> None
         lambda.
     H, c : ndarray, shapes (n, n) and (n,)
     """
-    H[:] = J.T @ J
+    H[:] = J.T @ J  # (U6)
     for i in range(H.shape[0]):
         H[i, i] += damping**2
     c[:] = -(rate @ J)
