@@ -167,7 +167,7 @@ def _step(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
 def _torque(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     """Check that all joints are strong enough to stand on one foot."""
     kin = Kinematics(model, q, Foot.LEFT)
-    over = Footsteps(config, model, q).posture(Foot.LEFT, kin.pose(kin.swing))
+    over = Footsteps(config, model, q).nearest(Foot.LEFT, kin.pose(kin.swing)).posture
     tau = np.abs(gravity_torques(Kinematics(model, over, Foot.LEFT), both=False))
     limit = Servos.of(config, model).torque
     worst = int(np.argmax(tau / limit))

@@ -96,7 +96,7 @@ class Numbers:
         limits, needed = dict(zip(model.joint_names, model.effort_max.tolist(), strict=True)), dict[str, float]()
         for foot in Foot:
             kin = Kinematics(model, standing.q, foot)
-            q = steps.posture(foot, kin.pose(kin.swing))
+            q = steps.nearest(foot, kin.pose(kin.swing)).posture
             torques = np.abs(gravity_torques(Kinematics(model, q, foot), both=False)).tolist()
             known = zip(model.joint_names, torques, strict=True)
             needed |= {name: torque for name, torque in known if name in anatomy.legs[foot]}

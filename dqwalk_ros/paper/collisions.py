@@ -41,7 +41,7 @@ _TINY = 1e-12
 
 
 @jit
-def _fraction(x, length):  # type: ignore[no-untyped-def]
+def _fraction(x: float, length: float) -> float:
     """Return x / length limited to [0, 1]; 0 for a segment without length."""
     return min(max(x / length, 0.0), 1.0) if length > _TINY else 0.0
 
@@ -79,7 +79,7 @@ def closest_on_segments(s):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _unit(e):  # type: ignore[no-untyped-def]
+def _unit(e: Array) -> tuple[float, Array]:
     """Return length and direction of e (3,); no direction, zero, where the length is zero."""
     length = math.sqrt(e @ e)
     return length, e / length if length > _TINY else np.zeros(3)

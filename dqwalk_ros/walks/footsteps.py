@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.walks.footprint import Footprint, flat
 
-__all__ = ["Carried", "Footsteps", "parsed", "stair_height"]
+__all__ = ["Carried", "Footsteps", "Reached", "parsed", "stair_height"]
 
 
 _LEVER = 0.1
@@ -31,8 +31,8 @@ _UPRIGHT, _FREE = [2, 3, 4], [0, 1, 5]
 _FREE_WEIGHT = np.array([1.0, 1.0, _LEVER])
 _STEPS, _STILL, _DAMPING = 60, 1e-5, 1e-4
 """Levenberg-Marquardt method: largest number of iterations, change at which it ends [m], and least damping."""
-
-
+_ROWS = 18
+"""Number of the residuals before those of the posture."""
 _STAIR = 1.5
 """Least height of a stair, relative to ``gait.footstep_tolerance``, up to which soles count as level."""
 
@@ -77,6 +77,27 @@ class Carried(NamedTuple):
     height: float | None = None
 
 
+class Reached(NamedTuple):
+    """The nearest footprint that the legs reach.
+
+    Attributes
+    ----------
+    pose : ndarray, shape (8,)
+        In the frame of the support sole.
+    posture : ndarray, shape (n,)
+        In which the swing foot lands there [rad].
+    at_limit : tuple of str
+        The joints at a limit.
+    missed : float
+        Error of what must be kept: height, roll and pitch of the sole, and the places of the CoM [m].
+    """
+
+    pose: Array
+    posture: Array
+    at_limit: tuple[str, ...]
+    missed: float
+
+
 class Footsteps:
     """Plans the footprints of a walk.
 
@@ -113,7 +134,7 @@ class Footsteps:
         """
         key = (support, round(length, 6), round(side, 6), round(turn, 6))
         if key not in self._known:
-            self._known[key] = self.reachable(support, self.wanted(support, length, side, turn))
+            self._known[key] = self.nearest(support, self.wanted(support, length, side, turn)).pose
         return self._known[key]
 
     def reach(self, length: float) -> tuple[float, tuple[str, ...]]:
@@ -126,9 +147,9 @@ class Footsteps:
         """
         found = []
         for support in Foot:
-            reached, _, stuck, _ = self._nearest(support, self.wanted(support, length, 0.0, 0.0))
+            reached = self.nearest(support, self.wanted(support, length, 0.0, 0.0))
             beside = self.wanted(support, 0.0, 0.0, 0.0)
-            found.append((float((DQ(reached).translation() - DQ(beside).translation())[0]), stuck))
+            found.append((float((DQ(reached.pose).translation() - DQ(beside).translation())[0]), reached.at_limit))
         return min(found)
 
     def wanted(self, support: Foot, length: float, side: float, turn: float) -> Array:
@@ -205,36 +226,26 @@ class Footsteps:
             raise StateError(
                 f"{1e3 * gap:.0f} mm beside the other sole; standing.sole_gap is {1e3 * s.sole_gap:.0f} mm"
             )
-        reached, _, stuck, missed = self._nearest(support, wanted)
-        off_by = DQ(flat(wanted, stair_height(height, self.config))).conj() * DQ(reached)
-        far, angle = max(float(np.linalg.norm(off_by.translation())), missed), abs(float(off_by.rotation_vector()[2]))
+        reached = self.nearest(support, wanted)
+        off_by = DQ(flat(wanted, stair_height(height, self.config))).conj() * DQ(reached.pose)
+        far = max(float(np.linalg.norm(off_by.translation())), reached.missed)
+        angle = abs(float(off_by.rotation_vector()[2]))
         if max(far, s.lever * angle) > gait.footstep_tolerance:
-            where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached).translation()[:2])
-            why = f"{', '.join(stuck)} at the limit" if stuck else "no free ankle joint"
+            where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached.pose).translation()[:2])
+            why = f"{', '.join(reached.at_limit)} at the limit" if reached.at_limit else "no free ankle joint"
             raise StateError(
                 f"out of reach by {1e3 * far:.0f} mm and {math.degrees(angle):.1f} deg ({why}); the nearest is at "
                 f"{where} mm in the other sole, gait.footstep_tolerance is {1e3 * gait.footstep_tolerance:.0f} mm"
             )
-        return reached
+        return reached.pose
 
-    def reachable(self, support: Foot, wanted: Array) -> Array:
-        """Return the reachable pose of the level swing sole nearest to `wanted` (8,), shape (8,)."""
-        return self._nearest(support, wanted)[0]
-
-    def posture(self, support: Foot, wanted: Array) -> Array:
-        """Return the posture (n,) [rad] with the CoM over the `support` sole and the other one at `reachable`."""
-        return self._nearest(support, wanted)[1]
-
-    def _nearest(self, support: Foot, wanted: Array) -> tuple[Array, Array, tuple[str, ...], float]:
-        """Return the nearest reachable footprint (8,), its posture (n,), the joints at a limit there, and an error [m].
-
-        It is the error of what must be kept: height, roll and pitch of the sole, and places of the CoM.
+    def nearest(self, support: Foot, wanted: Array) -> Reached:
+        """Return the reachable pose of the level swing sole nearest to `wanted` (8,).
 
         Two postures with the same footprint are computed together: that in which the swing foot lands, in a standing
         walk with the CoM over the support sole, and that in which the next double support ends, with the CoM over the
-        swing sole. The method is Levenberg-Marquardt from the standing posture, with the joint limits as an active set.
-        Large weights enforce height, roll and pitch of the footprint, the positions of the CoM, and the equality of
-        both footprints.
+        swing sole. Large weights enforce height, roll and pitch of the footprint, the positions of the CoM, and the
+        equality of both footprints.
         """
         model, n = self._model, self._model.n
         frame = model.soles[support.other].frame
@@ -248,7 +259,7 @@ class Footsteps:
         low, high = np.tile(model.q_min, 2), np.tile(model.q_max, 2)
 
         def residual(q: Array) -> tuple[Array, Array]:
-            J, e = np.zeros((18 + 2 * n, 2 * n)), np.zeros(18 + 2 * n)
+            J, e = np.zeros((_ROWS + 2 * n, 2 * n)), np.zeros(_ROWS + 2 * n)
             for k in range(2):
                 part, rows = slice(k * n, (k + 1) * n), slice(8 * k, 8 * k + 8)
                 kin = Kinematics(model, q[part], support)
@@ -269,32 +280,42 @@ class Footsteps:
             e[11:14] = _KEPT * (e[11:14] - e[3:6])
             J[11:14, n:] *= _KEPT
             J[11:14, :n] = -_KEPT * J[3:6, :n]
-            e[18:] = _POSTURE * (q - q_ref)
-            J[18:] = _POSTURE * np.eye(2 * n)
+            e[_ROWS:] = _POSTURE * (q - q_ref)
+            J[_ROWS:] = _POSTURE * np.eye(2 * n)
             return e, J
 
-        q, damping = q_ref, _DAMPING
-        e, J = residual(q)
-        for _ in range(_STEPS):
-            gradient = J.T @ e
-            stuck = ((q <= low) & (gradient > 0.0)) | ((q >= high) & (gradient < 0.0))
-            free = np.flatnonzero(~stuck)
-            step = np.zeros(2 * n)
-            H = J[:, free].T @ J[:, free]
-            step[free] = np.linalg.solve(H + damping * np.eye(len(free)), -gradient[free])
-            moved = np.clip(q + step, low, high)
-            e_moved, J_moved = residual(moved)
-            if e_moved @ e_moved >= e @ e:
-                damping *= 10.0
-                if damping > 1e6:
-                    break
-                continue
-            done = np.abs(e_moved - e)[:18].max() < _STILL
-            q, e, J, damping = moved, e_moved, J_moved, max(0.2 * damping, _DAMPING)
-            if done:
-                break
+        q, e = _least_squares(residual, q_ref, low, high)
         at_limit = ((q <= low + 1e-6) | (q >= high - 1e-6)).reshape(2, n).any(axis=0)
         joints = tuple(model.joint_names[i] for i in np.flatnonzero(at_limit))
         kept = [0, 1, 2, 6, 7, 8, 9, 10, 14, 15, 16, 17]  # of the residuals
         missed = float(np.abs(e[kept]).max()) / _KEPT
-        return flat(Kinematics(model, q[:n], support).pose(frame), level), q[:n], joints, missed
+        return Reached(flat(Kinematics(model, q[:n], support).pose(frame), level), q[:n], joints, missed)
+
+
+def _least_squares(
+    residual: Callable[[Array], tuple[Array, Array]], q: Array, low: Array, high: Array
+) -> tuple[Array, Array]:
+    """Return q (m,) within its limits at the least norm of its residual, and this residual (k,).
+
+    The Levenberg-Marquardt method with the limits as an active set; `residual` returns e (k,) and its Jacobian (k, m).
+    """
+    damping, (e, J) = _DAMPING, residual(q)
+    for _ in range(_STEPS):
+        gradient = J.T @ e
+        stuck = ((q <= low) & (gradient > 0.0)) | ((q >= high) & (gradient < 0.0))
+        free = np.flatnonzero(~stuck)
+        step = np.zeros(len(q))
+        H = J[:, free].T @ J[:, free]
+        step[free] = np.linalg.solve(H + damping * np.eye(len(free)), -gradient[free])
+        moved = np.clip(q + step, low, high)
+        e_moved, J_moved = residual(moved)
+        if e_moved @ e_moved >= e @ e:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+            continue
+        done = np.abs(e_moved - e)[:_ROWS].max() < _STILL
+        q, e, J, damping = moved, e_moved, J_moved, max(0.2 * damping, _DAMPING)
+        if done:
+            break
+    return q, e

@@ -195,7 +195,9 @@ class SteppingWalk(Walk):
         # above the plane of the lower sole, because on a slope to the side the soles differ in height
         if min(float(kin.point(other.frame, corner)[2]) for corner in other.corners) <= _LIFTED:
             return None
-        return Next(PhaseKind.SINGLE_SUPPORT, support, self.footsteps.reachable(support, flat(kin.pose(other.frame))))
+        return Next(
+            PhaseKind.SINGLE_SUPPORT, support, self.footsteps.nearest(support, flat(kin.pose(other.frame))).pose
+        )
 
     def _leading(self) -> Foot:
         """Return the first support foot: that of commanded footprints, or that opposite to a turn or lateral motion."""

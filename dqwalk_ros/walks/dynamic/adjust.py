@@ -98,7 +98,9 @@ def left_over(step: Step, xi: Array, elapsed: float, left: float) -> tuple[Array
 
 
 @jit
-def _left_over(z, end, omega, low, high, xi, planned, left):  # type: ignore[no-untyped-def]
+def _left_over(
+    z: Array, end: Array, omega: Array, low: Array, high: Array, xi: Array, planned: float, left: float
+) -> tuple[Array, Array]:
     """Return error and displacement (2,) of `left_over`; `planned` is the planned time until the landing [s]."""
     over, moved = np.empty(2), np.zeros(2)
     moved[0] = (math.exp(-omega[0] * (planned - left)) - 1.0) * (end[0] - z[0])  # an earlier landing shortens the step
@@ -110,7 +112,10 @@ def _left_over(z, end, omega, low, high, xi, planned, left):  # type: ignore[no-
 
 
 @jit
-def _best_time(z, end, omega, low, high, xi, planned, soonest, latest):  # type: ignore[no-untyped-def]
+def _best_time(
+    z: Array, end: Array, omega: Array, low: Array, high: Array, xi: Array, planned: float, soonest: float,
+    latest: float,
+) -> float:  # fmt: skip
     """Return the time until the landing, between two times [s], with the least cost."""
     best, least = soonest, math.inf
     for i in range(int((latest - soonest) / _GRID + 1e-7) + 1):
@@ -176,7 +181,7 @@ def transfer_time(reference: Pressed, z: Array, xi: Array, least: float) -> floa
 
 
 @jit
-def _transfer_time(z, b, end, omega, y, first):  # type: ignore[no-untyped-def]
+def _transfer_time(z: Array, b: Array, end: Array, omega: Array, y: float, first: float) -> float:
     """Return the time of `transfer_time`, from `first` [s] on, for the divergent component `y` to the side [m]."""
     best, least = first, math.inf
     for i in range(max(math.ceil((_LONGEST_TRANSFER - first) / _GRID), 1)):

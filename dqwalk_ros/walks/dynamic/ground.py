@@ -56,7 +56,7 @@ class Ground:
 
 
 @jit
-def _towards(a, b, less):  # type: ignore[no-untyped-def]
+def _towards(a: Array, b: Array, less: float) -> Array:
     """Return the rotation that takes the direction of `a` (3,) towards that of `b` (3,), to `less` [rad], vec8 (8,)."""
     axis, x = np.cross(a, b), np.zeros(8)
     size = math.sqrt(axis @ axis)
@@ -66,7 +66,7 @@ def _towards(a, b, less):  # type: ignore[no-untyped-def]
 
 
 @jit
-def turned(x, place):  # type: ignore[no-untyped-def]
+def turned(x: Array, place: Array) -> Array:
     """Return a pose (7,), position and unit quaternion, turned about the origin by the rotation `x`, vec8 (8,)."""
     r = quaternion_product(x[0], x[1], x[2], x[3], place[3], place[4], place[5], place[6])
     return np.concatenate((direction(x, place[:3]), np.array(r)))

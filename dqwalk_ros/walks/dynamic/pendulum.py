@@ -170,9 +170,9 @@ class Pendulum:
 
 
 @jit
-def _in_effect(begins, points, time):  # type: ignore[no-untyped-def]
+def _in_effect(begins: Array, points: Array, time: float) -> Array:
     """Return the zero-moment point (2,) in effect at `time` [s]; `points` (m, 2) act from `begins` (m,) on [s]."""
-    z = points[0]
+    z: Array = points[0]
     for k in range(1, begins.shape[0]):
         if begins[k] <= time:
             z = points[k]
@@ -180,7 +180,9 @@ def _in_effect(begins, points, time):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _later(begins, points, time, end, c, xi, omega):  # type: ignore[no-untyped-def]
+def _later(
+    begins: Array, points: Array, time: float, end: float, c: Array, xi: Array, omega: Array
+) -> tuple[Array, Array]:
     """Return c and xi (2,) at `end` [s], from those at `time` [s], while the `points` (m, 2) act one after the other.
 
     For each, in closed form, xi' = w (xi - z), and zeta' = -w (zeta - z) of its stable counterpart zeta = 2 c - xi.
@@ -195,7 +197,7 @@ def _later(begins, points, time, end, c, xi, omega):  # type: ignore[no-untyped-
 
 
 @jit
-def _filtered(smooth, z, xi, omega, dt):  # type: ignore[no-untyped-def]
+def _filtered(smooth: Array, z: Array, xi: Array, omega: Array, dt: float) -> Array:
     """Return the filtered xi (2,): that of `dt` [s] ago, moved as the pendulum, approaches the measured one."""
     moved = smooth + dt * omega * (smooth - z)  # xi' = w (xi - z)
     return moved + dt / (_SMOOTH + dt) * (xi - moved)

@@ -28,7 +28,7 @@ _LAST = 0.25
 
 
 @jit
-def before(a, b, end, time, omega):  # type: ignore[no-untyped-def]
+def before(a: Array, b: Array, end: Array, time: float, omega: Array) -> Array:
     """Return the divergent component a given time before it is at `end`, while z moves linearly from `a` to `b`.
 
     The solution of xi' = w (xi - z): with e = exp(-w T) and b = a it is z + e (xi(T) - z).
@@ -56,7 +56,7 @@ def before(a, b, end, time, omega):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _pressed(a, b, end, duration, omega, elapsed):  # type: ignore[no-untyped-def]
+def _pressed(a: Array, b: Array, end: Array, duration: float, omega: Array, elapsed: float) -> tuple[Array, Array]:
     """Return xi and z (2,) of `Pressed`."""
     left = min(max(duration - elapsed, 0.0), duration)
     z = b - left / duration * (b - a)
@@ -64,7 +64,7 @@ def _pressed(a, b, end, duration, omega, elapsed):  # type: ignore[no-untyped-de
 
 
 @jit
-def _resting(start, goal, duration, omega, elapsed):  # type: ignore[no-untyped-def]
+def _resting(start: Array, goal: Array, duration: float, omega: Array, elapsed: float) -> tuple[Array, Array]:
     """Return xi and z (2,) of `Rest`."""
     place, slope, _ = minimum_jerk(elapsed / duration)
     way = goal - start

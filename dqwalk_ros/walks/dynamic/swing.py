@@ -115,7 +115,7 @@ class Swing:
 
 
 @jit
-def _advanced(state, goal, path, elapsed, duration):  # type: ignore[no-untyped-def]
+def _advanced(state: Array, goal: Array, path: Array, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
     """Advance `state` (6,) to the time `elapsed`; see `Swing.step`.
 
     It is the completed fraction of the time, the time [s], and place and velocity along the ground; `path` (14,) is the
@@ -149,7 +149,7 @@ def _advanced(state, goal, path, elapsed, duration):  # type: ignore[no-untyped-
 
 
 @jit
-def _along(s, lift, land):  # type: ignore[no-untyped-def]
+def _along(s: float, lift: float, land: float) -> tuple[float, float]:
     """Return the completed fraction of the distance along the ground at the fraction `s` of the time, and its slope.
 
     The fractions `lift` and `land` at the beginning and at the end are without motion.
@@ -160,7 +160,7 @@ def _along(s, lift, land):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _arch(s):  # type: ignore[no-untyped-def]
+def _arch(s: float) -> tuple[float, float]:
     """Return the height 0..1 at the fraction `s` of the time, and its slope: s^2 (1 - s)^2.7, scaled.
 
     It ends without velocity and acceleration: a foot that hits the ground unloads the supporting sole, which slips. A

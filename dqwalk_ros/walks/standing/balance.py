@@ -119,7 +119,10 @@ class Balance:
 
 
 @jit
-def _torques(robot, sensor, dq, gyro, elapsed, goal, edges, gains, soles):  # type: ignore[no-untyped-def]
+def _torques(
+    robot: _Robot, sensor: Sensor, dq: Array, gyro: Array, elapsed: float, goal: _Goal, edges: tuple[Array, Array],
+    gains: _Gains, soles: _Soles,
+) -> Array:  # fmt: skip
     """Return the joint torques (n,) [N m] of `Balance`."""
     com, J_com, lines, poses, up = robot
     v = moving_com(com, J_com, lines, poses, sensor, dq, gyro)
@@ -129,7 +132,7 @@ def _torques(robot, sensor, dq, gyro, elapsed, goal, edges, gains, soles):  # ty
     c_d, v_d, a_d = com_path(s, goal.start, elapsed, goal.duration)
     a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, edges, gains)
     force = gains.mass * (GRAVITY * up + a)
-    tau = force @ J_com
+    tau: Array = force @ J_com
     if soles.both:
         x = compose(poses[soles.body], soles.pose)
         other = point(x, soles.other_center)
@@ -138,7 +141,9 @@ def _torques(robot, sensor, dq, gyro, elapsed, goal, edges, gains, soles):  # ty
 
 
 @jit
-def _com_acceleration(com, up, v, c_d, v_d, a_d, edges, gains):  # type: ignore[no-untyped-def]
+def _com_acceleration(
+    com: Array, up: Array, v: Array, c_d: Array, v_d: Array, a_d: Array, edges: tuple[Array, Array], gains: _Gains
+) -> tuple[Array, Array]:
     """Return the horizontal acceleration (3,) of the CoM towards its path, and its centre of pressure (2,)."""
     w2 = GRAVITY / max(up[0] * com[0] + up[1] * com[1] + up[2] * com[2], 0.05)
     w = math.sqrt(w2)
