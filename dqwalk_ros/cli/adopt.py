@@ -87,7 +87,7 @@ def adopt(
     quiet: bool,
     changes: tuple[str, ...],
 ) -> int:
-    """Make a configuration that walks from a robot description, URDF, xacro or MJCF."""
+    """Make a configuration that walks from a URDF, xacro or MJCF."""
     from dqwalk_ros import adopt as adopting
     from dqwalk_ros.adopt.picture import draw
     from dqwalk_ros.cli.progress import Progress

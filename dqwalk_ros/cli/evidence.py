@@ -56,10 +56,10 @@ examples:
 @click.option("--sample", metavar="N", type=click.IntRange(0), default=0, show_default="all", help="Walks of each row.")
 @many_options("evidence")
 def evidence(path: str, engines: tuple[str, ...], sample: int, many: Many) -> int:
-    """Simulate what the tables of results claim, in MuJoCo and in Drake.
+    """Simulate what the tables of results claim, in two engines.
 
-    Prints for every row and engine how many walks stood and how many reports are OK, each with the chance that this
-    proves at least (95 % confidence), and the worst figures. Needs: pip install mujoco drake
+    Prints for every row and engine, MuJoCo and Drake, how many walks stood and how many reports are OK, each with the
+    chance that this proves at least (95 % confidence), and the worst figures. Needs: pip install mujoco drake
     """
     from dqwalk_ros.cli.results import prepare_study, write_study
     from dqwalk_ros.studies import evidence as study

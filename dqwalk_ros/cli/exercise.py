@@ -62,7 +62,7 @@ def exercise(
     force: bool,
     quiet: bool,
 ) -> int:
-    """Move every joint of a suspended robot, and record the motion of its servos."""
+    """Move each joint of a suspended robot, to identify its servos."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare
     from dqwalk_ros.identification.exercise import duration, exercise_config

@@ -50,7 +50,7 @@ then:
 @force_option
 @quiet_option
 def identify(bag: Path, mass: float | None, out: Path | None, force: bool, quiet: bool) -> int:
-    """Find delay, stiffness, damping, backlash and friction of each servo in a recorded exercise."""
+    """Identify the servos of a robot from a recorded exercise."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.identification import fit
     from dqwalk_ros.report.bag import read, read_orientations

@@ -14,9 +14,9 @@ _MOST = 1.5
 
 
 @command("""
-Simulates the commands of the exercise in MuJoCo with the servos of --params; by default with those of identified.yaml
-beside the bag, or, without this file, with those of the exercise's configuration. Exit code 1 if the rms error of a
-joint is larger than 1.5 degrees.
+Simulates the commands of the exercise in MuJoCo with the servos of --params, and prints the errors of the joints; by
+default with those of identified.yaml beside the bag, or, without this file, with those of the exercise's configuration.
+Exit code 1 if the rms error of a joint is larger than 1.5 degrees.
 
 examples:
   dqwalk replay exercise/bag
@@ -26,7 +26,7 @@ examples:
 @params_option
 @quiet_option
 def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
-    """Compare a simulated robot with identified servos with the recording of an exercise; print the joint errors."""
+    """Compare a simulated robot with a recorded exercise."""
     import numpy as np
 
     from dqwalk_ros.cli.progress import Progress

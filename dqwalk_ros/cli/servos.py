@@ -40,7 +40,7 @@ examples:
 @quiet_option
 @set_option
 def servos(robot: str, names: tuple[str, ...], quiet: bool, changes: tuple[str, ...]) -> int:
-    """Show how fast a biped can walk with its own servos, and with each type of the table.
+    """Show how fast a biped can walk with its servos, or others.
 
     ROBOT is the configuration of a dynamic walk, or a folder that `dqwalk adopt` has written.
     """

@@ -47,11 +47,9 @@ def markers(stamp: int, config: Config, model: RobotModel, phase: Phase, kin: Ki
 
 def _region(drawn: NamedRegion) -> Marker:
     """Return the marker of a constraint's region."""
-    found = drawn.region
-    a, b = found.size
-    scale = {"cylinder": (2.0 * a, 2.0 * a, b), "plane": (a, b, _THIN), "wall": (a, _THIN, b)}[found.kind]
-    kind = Marker.CYLINDER if found.kind == "cylinder" else Marker.CUBE
-    return _shape(kind, drawn.name, found.pose, scale, drawn.color, 0.3)
+    kind = Marker.CYLINDER if drawn.region.kind == "cylinder" else Marker.CUBE
+    x, y, z = np.maximum(drawn.extent, _THIN).tolist()
+    return _shape(kind, drawn.name, drawn.region.pose, (x, y, z), drawn.color, 0.3)
 
 
 def _sole(name: str, sole: Sole, x: Array, color: Rgb, opacity: float) -> Marker:

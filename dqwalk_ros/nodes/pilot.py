@@ -25,8 +25,6 @@ _PERIOD = 0.1
 """Period of the commands [s]."""
 _SILENT, _REPEATED = 20, 100
 """Periods after which the pilot says that it waits for a controller, and those after which it says so again."""
-
-
 _LONGEST = 5_000_000_000
 """Longest time between two states, above which a stamp is wrong, or a clock was set [ns]."""
 

@@ -124,6 +124,14 @@ class NamedRegion(NamedTuple):
     region: Region
     color: Rgb
 
+    @property
+    def extent(self) -> Array:
+        """Extent along the axes of its frame, zero along the normal of a plane or a wall, shape (3,) [m]."""
+        a, b = self.region.size
+        return np.array(
+            {"cylinder": (2.0 * a, 2.0 * a, b), "plane": (a, b, 0.0), "wall": (a, 0.0, b)}[self.region.kind]
+        )
+
 
 @dataclass(frozen=True)
 class Gauge:

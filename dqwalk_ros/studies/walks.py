@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from dqwalk_ros import report
-from dqwalk_ros.config import Config, RobotConfig
+from dqwalk_ros.config import Config
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import RobotModel, load_model
@@ -107,7 +107,7 @@ def set_up(config: Config, point: Mapping[str, Any]) -> tuple[Config, RobotModel
         If there is no such joint or link.
     """
     config = config.updated({name: value for name, value in point.items() if not is_own(name)})
-    model = _with_masses(_model(config.robot), point)
+    model = _with_masses(load_model(config.robot), point)
     q0 = np.zeros(model.n)
     for name, value in point.items():
         if name.startswith("start."):
@@ -139,11 +139,6 @@ def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> 
         error=controller.error if math.isfinite(controller.error) else None,
         **margin,
     )
-
-
-@functools.lru_cache(maxsize=8)
-def _model(config: RobotConfig) -> RobotModel:
-    return load_model(config)
 
 
 def _with_masses(model: RobotModel, point: Mapping[str, Any]) -> RobotModel:

@@ -16,7 +16,6 @@ import numpy as np
 import viser
 import websockets.asyncio.server
 
-from dqwalk_ros.paper.constraints import Region
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Moment, NamedRegion, Scene, View, tightest
@@ -315,7 +314,7 @@ class _Drawing:
         self._shadow = self._scene.add_cylinder("/com/shadow", 0.008, 0.0015, color=COM, cast_shadow=False)
         self._divergent = self._scene.add_cylinder("/com/divergent", 0.008, 0.0015, color=DIVERGENT, cast_shadow=False)
         self._plumb = self._scene.add_cylinder("/com/plumb", 0.0012, 1.0, color=COM, cast_shadow=False)
-        self._regions: dict[str, tuple[Region, Any]] = {}
+        self._regions: dict[str, tuple[Array, Any]] = {}  # extent when it was added, and handle
         self._footprints: dict[int, Any] = {}
         self._polygon: Array | None = None
 
@@ -423,21 +422,19 @@ class _Drawing:
                 handle.visible = name in present
         tight = tightest(view.gauges).name
         for drawn in view.regions:
-            name, found, own = drawn
-            if name not in self._regions:
-                self._regions[name] = (found, self._add_region(drawn))
-            first, handle = self._regions[name]
-            _move(handle, found.pose, _ORIGIN)
-            a, b = found.size[0] / first.size[0], found.size[1] / first.size[1]
-            scale = {"cylinder": (a, a, b), "plane": (a, b, 1.0)}.get(found.kind, (a, 1.0, b))
+            if drawn.name not in self._regions:
+                self._regions[drawn.name] = (drawn.extent, self._add_region(drawn))
+            first, handle = self._regions[drawn.name]
+            _move(handle, drawn.region.pose, _ORIGIN)
+            scale = tuple(np.divide(drawn.extent, first, out=np.ones(3), where=first > 0.0).tolist())
             if not np.allclose(handle.scale, scale, rtol=0.005):
                 handle.scale = scale
-            color = TIGHT if name == tight else own
+            color = TIGHT if drawn.name == tight else drawn.color
             if tuple(handle.color) != color:
                 handle.color = color
 
     def _add_region(self, drawn: NamedRegion) -> Any:
-        name, found, color = f"/regions/{drawn.name}", drawn.region, drawn.color
+        name, found = f"/regions/{drawn.name}", drawn.region
         looks: dict[str, Any] = {
             "opacity": 0.22,
             "side": "double",
@@ -445,11 +442,9 @@ class _Drawing:
             "receive_shadow": False,
             **_place(found.pose),
         }
-        a, b = found.size
         if found.kind == "cylinder":
-            return self._scene.add_cylinder(name, a, b, color, radial_segments=64, **looks)
-        size = (a, b, _THIN) if found.kind == "plane" else (a, _THIN, b)
-        return self._scene.add_box(name, color, size, **looks)
+            return self._scene.add_cylinder(name, *found.size, drawn.color, radial_segments=64, **looks)
+        return self._scene.add_box(name, drawn.color, np.maximum(drawn.extent, _THIN), **looks)
 
 
 def _move(handle: Any, x: Array, offset: Array) -> None:
