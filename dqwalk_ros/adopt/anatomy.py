@@ -204,7 +204,7 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
     lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
     if not lowest.keys() & skeleton.joints.keys():
         how = (
-            f"{skeleton.lacking()}: give --package-path"
+            f"{skeleton.lacking()}: give --package-path of a folder that has its package or the file"
             if skeleton.lacking()
             else ": add a box as <collision> to each foot"
         )

@@ -44,6 +44,7 @@ exit code: 0 the standing walk walks; 1 it was adopted but falls; 2 it cannot be
 examples:
   dqwalk adopt my_robot.urdf
   dqwalk adopt my_robot/scene.xml                          MJCF, which MuJoCo reads
+  dqwalk adopt my_robot_description                        a folder with one robot description
   dqwalk adopt robot.urdf.xacro --package-path ~/ws/src --out my_robot
   dqwalk adopt robot.urdf --servo hip=MX-106 --servo knee=MX-106 --servo ankle=MX-64
   dqwalk adopt robot.urdf --left l_foot --right r_foot --forward -x
@@ -89,6 +90,7 @@ def adopt(
 ) -> int:
     """Make a configuration that walks from a URDF, xacro or MJCF."""
     from dqwalk_ros import adopt as adopting
+    from dqwalk_ros.adopt.description import description_in
     from dqwalk_ros.adopt.picture import draw
     from dqwalk_ros.cli.progress import Progress
 
@@ -103,10 +105,13 @@ def adopt(
     xacro = {name: value for name, _, value in (text.partition("=") for text in arguments)}
     given = dict(parse_overrides(changes))
     sides = {"left": left, "right": right, "forward": forward or ""}
+    file = description_in(urdf)
+    if file != urdf and not quiet:
+        print(f"the robot description in the folder: {file}")
     with Progress(quiet=quiet) as bar:
         try:
             found = adopting.adopt(
-                urdf, out, package_paths=places, xacro=xacro, **sides, servos=servos, changes=given,
+                file, out, package_paths=places, xacro=xacro, **sides, servos=servos, changes=given,
                 overwrite=force, progress=bar.stage,
             )  # fmt: skip
         except OutputError as error:

@@ -63,6 +63,7 @@ def expanded(
                 "folder that contains it"
             ) from error
         why = " ".join(str(error).split())[:300]
+        why += "; give it by --xacro NAME=VALUE" if "substitution argument" in why else ""
         why += "; save it, and the files that it includes, as UTF-8" if isinstance(error, UnicodeError) else ""
         raise ModelError(f"xacro refuses '{path}': {why}") from error
     finally:

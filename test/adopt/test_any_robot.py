@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from dqwalk_ros import cli
 from dqwalk_ros.adopt import adopt, posture
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
+from dqwalk_ros.adopt.description import description_in
 from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.legs import axes_differ, bent, freedom, leg_of
 from dqwalk_ros.adopt.parameters import Numbers, servo_types
@@ -642,10 +644,36 @@ def test_xacro_finds_packages_and_takes_arguments(tmp_path: Path) -> None:
     path.parent.mkdir()
     include = '<xacro:include filename="$(find parts)/parts.xacro"/>'
     path.write_text(f'{head}<xacro:arg name="n" default="a"/>{include}<xacro:part name="$(arg n)"/></robot>')
+    (tmp_path / "undefined.xacro").write_text(
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="$(arg name)"/></robot>'
+    )
+    with pytest.raises(ModelError, match=r"argument name; give it by --xacro NAME=VALUE"):
+        Urdf.load(tmp_path / "undefined.xacro")
     with pytest.raises(ModelError, match=r"needs the ROS package 'parts'.*--package-path"):
         Urdf.load(path)
     assert list(Urdf.load(path, [tmp_path / "src"], {"n": "b"}).links) == ["b"]
     assert list(Urdf.load(path, [tmp_path / "src" / "parts"]).links) == ["a"]
+
+
+def test_a_folder_an_archive_and_an_address_lead_to_the_description_or_say_what_to_do(tmp_path: Path) -> None:
+    def said(path: Path) -> str:
+        with pytest.raises(ModelError) as error:
+            description_in(path)
+        return str(error.value)
+
+    assert "without a robot description" in said(tmp_path)
+    (tmp_path / "my robot" / "urdf").mkdir(parents=True)
+    one, two = (tmp_path / "my robot" / "urdf" / name for name in ("a.urdf", "b.urdf"))
+    (tmp_path / "my robot" / "package.xml").write_text("<package/>")
+    one.write_text("<robot/>")
+    assert description_in(one) == description_in(tmp_path) == one
+    two.write_text("<robot/>")
+    assert f"2 robot descriptions; give one: {one}, {two}" in said(tmp_path)
+    with zipfile.ZipFile(tmp_path / "robot.zip", "w") as archive:
+        archive.write(one)
+    assert "is an archive: unpack it" in said(tmp_path / "robot.zip")
+    assert "is a web address: download" in said(Path("https://example.org/robot.urdf"))
+    assert description_in(tmp_path / "none.urdf") == tmp_path / "none.urdf"  # what reads it says so
 
 
 def test_a_trial_says_what_was_walked_and_what_its_report_finds() -> None:
