@@ -13,6 +13,7 @@ from dqwalk_ros.adopt.parameters import Numbers, rounded
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.plants.table import make_plant
+from dqwalk_ros.report.binding import Load, most_loaded
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import analyse, pelvis_in_odom
 from dqwalk_ros.report.verdict import violations
@@ -48,6 +49,8 @@ class Trial:
         Reason for which the walk ended early; what its report finds, if it was completed.
     causes : tuple of Finding
         Causes of a fall, the earliest first.
+    load : Load or None
+        The servo that is closest to its torque-speed line, in physics.
     """
 
     plant: str
@@ -56,12 +59,14 @@ class Trial:
     planned: float
     note: str
     causes: tuple[Finding, ...] = ()
+    load: Load | None = None
 
     def __str__(self) -> str:
         if not self.stood:
             return f"{self.plant}: {self.note}" + "".join(f"; it fell because: {cause}" for cause in self.causes[:1])
         short = f" instead of {self.planned:.3f} m" if self.distance < _SHORT * self.planned else ""
-        return f"{self.plant}: walked {self.distance:.3f} m{short}" + (f", but {self.note}" if self.note else "")
+        load = f", {self.load}" if self.load else ""
+        return f"{self.plant}: walked {self.distance:.3f} m{short}{load}" + (f", but {self.note}" if self.note else "")
 
 
 def first_walks(
@@ -129,7 +134,7 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
         return Trial(plant, False, _distance(trace), planned, "; ".join(trace.notes), tuple(causes(series)))
     found = violations(series)
     note = f"{found[0].message}" + (f", and {len(found) - 1} more" if len(found) > 1 else "") if found else ""
-    return Trial(plant, True, _distance(trace), planned, note)
+    return Trial(plant, True, _distance(trace), planned, note, load=most_loaded(trace))
 
 
 def _distance(trace: Trace) -> float:

@@ -41,6 +41,9 @@ class Load:
     joint: str
     time: float
 
+    def __str__(self) -> str:
+        return f"{self.joint} needs {100.0 * self.part:.0f} % of its torque-speed line at {self.time:.2f} s"
+
 
 def most_loaded(trace: Trace) -> Load | None:
     """Return the joint whose servo is closest to its torque-speed line; None if torques were not recorded.

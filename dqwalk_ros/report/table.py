@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from dqwalk_ros.report.binding import Load
 from dqwalk_ros.support.text_table import aligned
 
 __all__ = ["distances", "numbers", "phases", "quasi_static", "render", "steps", "why"]
@@ -146,8 +147,7 @@ def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
     if (error := of["load_error"]) is not None:
         lines.append(("  load of a foot", f"from torques, {100.0 * error:.1f} % of the weight off (median)"))
     if (load := of.get("load")) is not None:
-        text = f"{load['joint']} needs {100.0 * load['part']:.0f} % of its torque-speed line at {load['time']:.2f} s"
-        lines.append(("  servos", text))
+        lines.append(("  servos", str(Load(**load))))
     if (energy := of.get("energy")) is not None:
         text = f"{energy['power']:.2f} W at the joints on average (sum |tau dq|), {energy['positive']:.2f} W positive"
         if energy["cost_of_transport"] is not None:

@@ -31,6 +31,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import PhysicsPlant, build
+from dqwalk_ros.report.binding import Load
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.robot.shapes import Shapes
@@ -681,6 +682,10 @@ def test_a_trial_says_what_was_walked_and_what_its_report_finds() -> None:
         (Trial("physics", True, 0.59, 0.6, ""), "physics: walked 0.590 m".__eq__),
         (Trial("physics", True, 0.2, 0.6, ""), "physics: walked 0.200 m instead of 0.600 m".__eq__),
         (Trial("physics", True, 0.6, 0.6, "a sole"), "physics: walked 0.600 m, but a sole".__eq__),
+        (
+            Trial("physics", True, 0.6, 0.6, "", load=Load(0.731, "l_knee", 1.0)),
+            "physics: walked 0.600 m, l_knee needs 73 % of its torque-speed line at 1.00 s".__eq__,
+        ),
     ]
     for trial, expected in trials:
         assert expected(str(trial))
