@@ -295,7 +295,7 @@ class Controller(AnsweringNode):
     # ------------------------------------------------------------------ services
 
     def _start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._mode in (Mode.IDLE, Mode.PAUSED) or self._pausing:
+        if self._mode in (Mode.IDLE, Mode.PAUSED) or (self._mode is Mode.WALKING and self._pausing):
             if self._gate.fault:
                 return self.answer(response, False, f"{self._gate.fault}; call ~/reset first")
             self._controller.pause(False)
@@ -330,6 +330,9 @@ class Controller(AnsweringNode):
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._falls.lying:
             return self.answer(response, False, f"{self._falls.lying}; put it on its feet first")
+        would_fall = self._mode is Mode.WALKING and self._has_begun and not self._controller.may_hold
+        if would_fall and not (self.lockstep or self._stale):
+            return self.answer(response, False, "it would fall in mid-step; call ~/pause first, then it stands")
         self._controller.reset()
         self._odometry.restart()
         self._drive = DriveWatch(Drive.of(self.config, self._model))

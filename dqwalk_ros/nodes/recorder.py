@@ -26,6 +26,8 @@ __all__ = ["Recorder", "WalkTime"]
 
 _DEPTH = 50_000
 """Depth of the queues: minutes of real time, most of a minute of lockstep at full speed."""
+_MOST_EARLY = 20_000
+"""Largest number of messages that are kept until the first state arrives; a robot may be idle for hours."""
 _FLUSH = 1.0
 """Period of writing to the disk [s]; a recorder that is killed loses up to two, as `TimerWaker` resets late timers."""
 _DISCOVERY = 0.5
@@ -160,7 +162,10 @@ class Recorder(WalkNode):
             elif name in self._last:
                 self._note_gap(name, own)
         if self._time.newest < 0:
-            self._early.append((name, bytes(raw)))
+            if topic.latched or len(self._early) < _MOST_EARLY:
+                self._early.append((name, bytes(raw)))
+            else:
+                self.get_logger().warning("nothing more is recorded before joint_states", **throttled(30.0))
             return
         try:
             for early, data in self._early:

@@ -16,6 +16,7 @@ from full_disk import limited_file_size
 from geometry_msgs.msg import PoseStamped
 from inside import state
 from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.nodes import messages as ros
@@ -56,6 +57,19 @@ def test_the_recorder_skips_invalid_messages(make: Any, tmp_path: Path) -> None:
     assert "joint_states not recorded: its stamp is -5 s, before 1970" in one.log
     one.node.close()
     assert readable_states(tmp_path / "bag") == 101
+
+
+def test_a_recorder_without_a_robot_keeps_a_bounded_number_of_messages(
+    make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dqwalk_ros.nodes.recorder._MOST_EARLY", 3)
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    for k in range(2):
+        for j in range(5):
+            one.send("center_of_pressure", bytes(serialize_message(ros.point(10 * k + j, "world", np.zeros(3)))))
+        one.send("walk_config", bytes(serialize_message(String(data="a"))))
+    assert [name for name, _ in one.node._early] == ["center_of_pressure"] * 3 + ["walk_config"] * 2
+    assert "nothing more is recorded before joint_states" in one.log
 
 
 def test_missing_centres_of_pressure_are_not_counted_as_lost(make: Any, tmp_path: Path) -> None:

@@ -97,6 +97,9 @@ def test_a_paused_dynamic_walk_puts_its_feet_together_stands_and_continues(make:
         return float(DQ(robot.truth.pelvis).translation()[0])
 
     walk(lambda: time >= at, 5.0)
+    refused = node.call("reset", Trigger.Request())
+    assert not refused.success
+    assert "call ~/pause first" in refused.message
     answer = node.call("pause", Trigger.Request())
     assert answer.success
     assert "puts its feet together" in answer.message

@@ -9,6 +9,7 @@ import pytest
 from inside import state, values
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
@@ -136,6 +137,19 @@ def test_consecutive_impossible_states_end_the_walk_with_zero(make: Any) -> None
     assert walk.got["phase"][-1].data == "failed"
     assert f"{NAMES[1]} by 0.4 rad; 3 in a row" in walk.status.message
     assert values(walk.status)["states rejected"] == "3"
+    assert not walk.tick()
+
+
+def test_a_walk_that_fails_while_it_pauses_is_not_started_again(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    walk = Answered(make)
+    assert any(walk.tick())
+    monkeypatch.setattr(type(walk.node._controller), "may_hold", False)
+    assert "puts its feet together" in walk.one.call("pause", Trigger.Request()).message
+    for _ in range(3):
+        walk.tick(0.4 * np.eye(MODEL.n)[1])
+    answer = walk.one.call("start", Trigger.Request())
+    assert not answer.success
+    assert "call ~/reset first" in answer.message
     assert not walk.tick()
 
 
