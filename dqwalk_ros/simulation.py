@@ -29,6 +29,13 @@ from dqwalk_ros.walks.table import make_controller, make_walk, walk_type
 
 __all__ = ["closed_loop", "simulate", "warm_up"]
 
+_WARM_UP = 3.0
+"""Longest time that a walk to compile its functions lasts [s]."""
+_WARM_PHASES = 5
+"""Index of the phase at which it ends: after a stance, both double supports and a single support."""
+_REPORT_EVERY = 0.1
+"""Period of the calls of `progress` [s]."""
+
 
 def warm_up(config: Config, model: RobotModel) -> None:
     """Compile all functions used in a control period, so that no state is answered late.
@@ -50,12 +57,6 @@ def warm_up(config: Config, model: RobotModel) -> None:
             plant.step(controller.step(replace(plant.state, up=up, gyro=gyro), config.dt), config.dt)
             gyro = np.full(3, 0.3 if controller.phase.kind is PhaseKind.SINGLE_SUPPORT else 0.0)
             kin = Kinematics(model, plant.state.q, controller.phase.base)
-
-
-_WARM_UP = 3.0
-"""Longest time that a walk to compile its functions lasts [s]."""
-_WARM_PHASES = 5
-"""Index of the phase at which it ends: after a stance, both double supports and a single support."""
 
 
 class _Controller(Protocol):
@@ -117,9 +118,6 @@ def closed_loop(
         if is_interrupt(error):
             raise KeyboardInterrupt from error
         raise
-
-
-_REPORT_EVERY = 0.1
 
 
 def simulate(

@@ -25,6 +25,8 @@ from dqwalk_ros.walks.table import make_walk
 
 __all__ = ["PhaseRecord", "PhysicsRecord", "Recorded", "Trace", "TraceRecorder", "known_loads"]
 
+_NAN = np.full(8, math.nan)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
@@ -294,6 +296,3 @@ class TraceRecorder:
 def known_loads(loads: Array) -> Array | None:
     """Return the loads (N, 2) of a `Trace`; None if all are unknown."""
     return loads if np.isfinite(loads).any() else None
-
-
-_NAN = np.full(8, math.nan)

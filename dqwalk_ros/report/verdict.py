@@ -308,8 +308,8 @@ def report(series: Series) -> dict[str, Any]:
     -------
     dict
         ``ok``, ``violations`` (see `Violation`), ``causes`` of a fall (see `causes.causes`), ``walk``, ``physics``
-        (or None), ``phases`` (a list),
-        ``solve_time``, ``robot``, ``config`` and ``notes``. Lengths in metres, angles in radians, times in seconds.
+        (or None), ``phases`` (a list), ``solve_time``, ``robot``, ``config`` and ``notes``. Lengths in metres, angles
+        in radians, times in seconds.
     """
     trace, broken, sole = series.trace, violations(series), series.trace.model.soles[Foot.LEFT]
     phases = [_phase(series, index, span) for index, span in enumerate(series.spans)]

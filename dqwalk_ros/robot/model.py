@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 __all__ = ["Body", "Frame", "RobotModel", "Sole", "find_urdf", "load_model", "parse_model"]
 
 
+_REMEMBERED = 2**20
+"""Largest description whose model is remembered [byte, characters]."""
+
+
 @dataclass(frozen=True)
 class Sole:
     """A rectangular sole; its points are in the frame of its link, x forward, z up, ground at z = 0.
@@ -264,10 +268,6 @@ def load_model(config: RobotConfig) -> RobotModel:
         if b"xacro" not in data:  # which may include other files
             return _remembered(data, str(path), config, published=False)
     return _model(Urdf.load(path), config, published=False)
-
-
-_REMEMBERED = 2**20
-"""Largest description whose model is remembered [byte, characters]."""
 
 
 @functools.lru_cache(maxsize=16)

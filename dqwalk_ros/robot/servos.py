@@ -28,7 +28,8 @@ from dqwalk_ros.support.errors import ConfigError
 
 __all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
 
-
+IDENTIFIED = ("stiffness", "damping", "backlash", "friction")
+"""Names allowed in an entry of ``servo.assumed`` [N m/rad, s, rad, N m]."""
 _LATE = 0.045
 """Delay at which no damping is fed back where the servo has damping of its own [s]. At 40 ms the full damping excites
 the joint; without any, the dynamic walk falls with delays of 15 to 26 ms."""
@@ -281,7 +282,3 @@ def _numbers(text: str) -> dict[str, float]:
     if not found or set(found) - set(IDENTIFIED) or not all(0.0 <= value < 1e4 for value in found.values()):
         raise ConfigError(f"servo.assumed has '{text}'; it must be 'stiffness 49.2, damping 0.009' of {IDENTIFIED}")
     return found
-
-
-IDENTIFIED = ("stiffness", "damping", "backlash", "friction")
-"""Names allowed in an entry of ``servo.assumed`` [N m/rad, s, rad, N m]."""

@@ -25,6 +25,10 @@ __all__ = ["PRIMITIVES", "Shapes", "Surface", "capsule_around", "kind_and_size",
 _KINDS = ("collisions", "visuals")
 PRIMITIVES = ("box", "cylinder", "sphere")
 """Shapes that every viewer can draw; all other shapes are drawn as triangles."""
+_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation from the axes of a file whose y axis is up to those of a link, whose z axis is up."""
+_CLOSER = 0.22
+"""Logarithm of the factor by which turned meshes must be closer to the CoM of their links."""
 
 
 @dataclass(frozen=True)
@@ -270,12 +274,6 @@ def _simplified(surface: Surface, cell: float) -> Surface:
     faces = place.reshape(-1)[surface.faces]
     a, b, c = faces.T
     return replace(surface, vertices=surface.vertices[first], faces=faces[(a != b) & (b != c) & (c != a)])
-
-
-_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Rotation from the axes of a file whose y axis is up to those of a link, whose z axis is up."""
-_CLOSER = 0.22
-"""Logarithm of the factor by which turned meshes must be closer to the CoM of their links."""
 
 
 @lru_cache(maxsize=512)

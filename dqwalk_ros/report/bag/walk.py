@@ -50,6 +50,10 @@ _CLOCK = 10**18
 """Stamps above this [ns], a time in 2001, are those of a clock; smaller ones are simulated time."""
 _FARTHEST = 100.0
 """Angles above this [rad] are errors of a sensor or of the file; positions above this [m] likewise."""
+_UNIT = 0.01
+"""Largest difference of the norm of a recorded orientation from one."""
+_SAME_POSE = 5e-3
+"""Largest difference of a pose from the origin that is attributed to the estimation of the base."""
 
 
 # ---------------------------------------------------------------------- writing
@@ -253,10 +257,6 @@ def read_orientations(path: str | os.PathLike[str]) -> Array:
     return out
 
 
-_UNIT = 0.01
-"""Largest difference of the norm of a recorded orientation from one."""
-
-
 # ---------------------------------------------------------------------- phases
 
 
@@ -329,10 +329,6 @@ def _first_base(bag: Recording, stamp: int, start: PhaseRecord) -> Array:
     x = (DQ(recorded) * DQ(Kinematics(bag.model, start.q_start, start.base).pose(bag.model.pelvis)).conj()).vec8()
     one = start.x_odom_base
     return one if min(np.abs(x - one).max(), np.abs(x + one).max()) < _SAME_POSE else x
-
-
-_SAME_POSE = 5e-3
-"""Largest difference of a pose from the origin that is attributed to the estimation of the base."""
 
 
 def _records(bag: Recording, starts: Mapping[int, PhaseRecord], stamps: Stamps, epoch: int) -> tuple[PhaseRecord, ...]:
