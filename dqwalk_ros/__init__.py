@@ -5,10 +5,28 @@ The public names below are imported on first use, so that importing the package 
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from typing import TYPE_CHECKING
+
+from dqwalk_ros.support.lazy import lazy
+
+if TYPE_CHECKING:
+    from dqwalk_ros.config import Config, load
+    from dqwalk_ros.controller import VelocityController
+    from dqwalk_ros.paper.dual_quaternions import DQ
+    from dqwalk_ros.paper.foot import Foot
+    from dqwalk_ros.paper.kinematics import Kinematics
+    from dqwalk_ros.paper.phase import Phase
+    from dqwalk_ros.plants.kinematic import KinematicPlant
+    from dqwalk_ros.robot.model import RobotModel, load_model
+    from dqwalk_ros.simulation import simulate
+    from dqwalk_ros.trace import Trace
+    from dqwalk_ros.walks.table import make_controller, make_walk
 
 __version__ = "0.1.0"
+__all__ = [
+    "DQ", "Config", "Foot", "KinematicPlant", "Kinematics", "Phase", "RobotModel", "Trace", "VelocityController",
+    "__version__", "load", "load_model", "make_controller", "make_walk", "simulate",
+]  # fmt: skip
 
 _MODULE_OF = {
     "Config": "config",
@@ -26,11 +44,8 @@ _MODULE_OF = {
     "simulate": "simulation",
     "Trace": "trace",
 }
+__getattr__ = lazy(__name__, _MODULE_OF)
 
-__all__ = ["__version__", *_MODULE_OF]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+def __dir__() -> list[str]:
+    return __all__

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from dqwalk_ros.support.lazy import lazy
 
 if TYPE_CHECKING:
     from dqwalk_ros.report.figures import save
@@ -16,17 +17,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Series", "Violation", "analyse", "render", "report", "save"]
 
-_MODULES = {
-    "Series": "metrics",
-    "Violation": "verdict",
-    "analyse": "metrics",
-    "render": "table",
-    "report": "verdict",
-    "save": "figures",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
+__getattr__ = lazy(
+    __name__,
+    {
+        "Series": "metrics",
+        "Violation": "verdict",
+        "analyse": "metrics",
+        "render": "table",
+        "report": "verdict",
+        "save": "figures",
+    },
+)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from dqwalk_ros.support.lazy import lazy
 
 if TYPE_CHECKING:
     from dqwalk_ros.report.bag.recording import is_body
@@ -12,17 +13,14 @@ if TYPE_CHECKING:
 
 __all__ = ["content_of", "is_body", "read", "read_orientations", "write"]
 
-_FILES = {
-    "content_of": "storage",
-    "is_body": "recording",
-    "read": "walk",
-    "read_orientations": "walk",
-    "write": "walk",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import on first use: the recorder needs no kinematics."""
-    if name not in _FILES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_FILES[name]}"), name)
+# on first use: the recorder needs no kinematics
+__getattr__ = lazy(
+    __name__,
+    {
+        "content_of": "storage",
+        "is_body": "recording",
+        "read": "walk",
+        "read_orientations": "walk",
+        "write": "walk",
+    },
+)
