@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from stepped_time import SteppedTime
 
-from dqwalk_ros.config import load
 from dqwalk_ros.nodes.safety import (
     CommandGate,
     DuplicatePublishers,
@@ -15,22 +14,12 @@ from dqwalk_ros.nodes.safety import (
     JointOrder,
     Watchdog,
 )
-from dqwalk_ros.robot.model import RobotModel, load_model
+from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import StateError
 
 DT = 0.005
 MS = 1_000_000
 PERIOD = 5 * MS
-
-
-@pytest.fixture
-def clock() -> SteppedTime:
-    return SteppedTime(100.0)
-
-
-@pytest.fixture(scope="module")
-def model() -> RobotModel:
-    return load_model(load("paper").robot)
 
 
 # ---------------------------------------------------------------------- names

@@ -22,16 +22,6 @@ MS = 1_000_000
 PERIOD = 5 * MS
 
 
-@pytest.fixture
-def clock() -> SteppedTime:
-    return SteppedTime(100.0)
-
-
-@pytest.fixture(scope="module")
-def model() -> RobotModel:
-    return load_model(load("paper").robot)
-
-
 def at(q: np.ndarray, dq: np.ndarray | None = None) -> State:
     return State(0.0, q, dq)
 

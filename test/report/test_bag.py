@@ -479,23 +479,20 @@ def test_joints_of_another_robot_are_an_error(path, tmp_path):
         bag.read(rewrite(path, tmp_path / "b", edit=edit))
 
 
-def test_a_description_of_another_robot_is_an_error(path, tmp_path):
+@pytest.mark.parametrize(
+    ("latched", "own", "other", "expected"),
+    [
+        ("/robot_description", "l_sole", "left_sole_link", r"another robot.*l_sole"),
+        ("/walk_config", "com_radius", "com_diameter", "com_diameter"),
+    ],
+)
+def test_a_description_or_configuration_of_another_robot_is_an_error(path, tmp_path, latched, own, other, expected):
     def edit(topic, time, m):
-        if topic == "/robot_description":
-            m.data = m.data.replace("l_sole", "left_sole_link")
+        if topic == latched:
+            m.data = m.data.replace(own, other)
         return time, m
 
-    with pytest.raises(BagError, match=r"another robot.*l_sole"):
-        bag.read(rewrite(path, tmp_path / "b", edit=edit))
-
-
-def test_a_configuration_of_another_version_is_an_error(path, tmp_path):
-    def edit(topic, time, m):
-        if topic == "/walk_config":
-            m.data = m.data.replace("com_radius", "com_diameter")
-        return time, m
-
-    with pytest.raises(BagError, match="com_diameter"):
+    with pytest.raises(BagError, match=expected):
         bag.read(rewrite(path, tmp_path / "b", edit=edit))
 
 
