@@ -57,12 +57,14 @@ _RESIDUAL = 0.002
 _APPROACH = 0.1
 """Fraction of the way by which it does so at each state."""
 _CONFIRMED = 0.015
-"""Time above the threshold after which a step is adjusted, to reject measurement noise; at least one state [s]."""
+"""Time above the threshold after which a step is adjusted, to reject measurement noise; at least two states [s]."""
 _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
 _AHEAD_OF_DELAY = 0.75
 """Part of the delay by which the reference of the CoM is ahead; with less the weight is transferred late, and with all
 of it a bus at 50 Hz tilts the soles."""
+_DOWN_AHEAD = 1.4
+"""Part of the delay by which the path of a swing foot ends early; with less the leg still moves when the foot lands."""
 _LATERAL = 0.9
 """Least lateral part of the axis of a joint that pitches the trunk."""
 _SHIFT = 0.1
@@ -121,7 +123,7 @@ class DynamicWalk(SteppingWalk):
         self._unsure = _TIP_TOLERANCE_PER_DELAY * self._advance
         self._known: Phase | None = None
         self._time = -math.inf
-        self._confirmed = max(round(_CONFIRMED / config.dt), 1)  # number of states
+        self._confirmed = max(round(_CONFIRMED / config.dt), 2)  # number of states
         self._now: Pendulum
         self._force = GRAVITY * Z
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
@@ -344,9 +346,12 @@ class DynamicWalk(SteppingWalk):
         # the error of xi that remains when the command acts is fed back
         c, xi = now.when_acting(state.time, c, xi)
         due, z = self._reference.at(t + self._drive.delay)
+        if phase.kind is PhaseKind.DOUBLE_SUPPORT:  # until a sole is down, no pressure can move towards it
+            _, z = self._reference.at(t + self._drive.delay - self._advance)
         z = z + (1.0 + self._gain) * (xi - due)
         if flight is not None:  # the foot must be on the ground before the weight is transferred
-            place, velocity, acceleration = flight.swing.step(t, flight.rule.duration - self._advance)
+            down = flight.rule.duration - _DOWN_AHEAD * self._advance
+            place, velocity, acceleration = flight.swing.step(t, down)
             self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
             z[0] += self.pendulum.swing * acceleration[0]
         now.command(state.time, moved_inside(z, *self._support, self.config.standing.pressure_margin))
