@@ -677,14 +677,14 @@ FAST = NOISY.updated(
 )
 
 
-def test_a_push_is_confirmed_for_a_time_not_for_a_number_of_states() -> None:
+def test_a_push_is_confirmed_for_a_time_and_by_two_states() -> None:
     found = [DynamicWalk(CONFIG.updated({"dt": dt}), MODEL)._confirmed for dt in (0.0025, 0.005, 0.02)]
-    assert found == [6, 3, 1]
+    assert found == [6, 3, 2]
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_poppy_as_built_walks_dynamically(seed: int) -> None:
-    changes = {"gait.steps": 10, "sensors.seed": seed}
+@pytest.mark.parametrize("gain", [127, pytest.param(254, marks=pytest.mark.long)])
+def test_poppy_as_built_walks_dynamically(gain: int) -> None:
+    changes = {"gait.steps": 10, "servo.p_gain": gain}
     config = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built").updated(changes)
     model = dq.load_model(config.robot)
     assert model.mass == pytest.approx(3.2)
@@ -692,8 +692,8 @@ def test_poppy_as_built_walks_dynamically(seed: int) -> None:
     assert trace.finished, trace.notes
     physics = report(analyse(trace))["physics"]
     assert not physics["fallen"]
-    assert math.degrees(physics["tilt"]["value"]) < 2.0
-    assert physics["cop_inside"] > 0.96
+    assert math.degrees(physics["tilt"]["value"]) < 1.0
+    assert physics["cop_inside"] > 0.996  # a sole bears its weight only once it is down
 
 
 ON_RUBBLE = CONFIG.updated(
