@@ -28,24 +28,9 @@ __all__ = [
     "__version__", "load", "load_model", "make_controller", "make_walk", "simulate",
 ]  # fmt: skip
 
-_MODULE_OF = {
-    "Config": "config",
-    "load": "config",
-    "DQ": "paper.dual_quaternions",
-    "Foot": "paper.foot",
-    "RobotModel": "robot.model",
-    "load_model": "robot.model",
-    "Kinematics": "paper.kinematics",
-    "Phase": "paper.phase",
-    "VelocityController": "controller",
-    "make_controller": "walks.table",
-    "make_walk": "walks.table",
-    "KinematicPlant": "plants.kinematic",
-    "simulate": "simulation",
-    "Trace": "trace",
-}
-__getattr__ = lazy(__name__, _MODULE_OF)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__ = lazy(__name__, {
+    "DQ": "paper.dual_quaternions", "Config": "config", "Foot": "paper.foot", "KinematicPlant": "plants.kinematic",
+    "Kinematics": "paper.kinematics", "Phase": "paper.phase", "RobotModel": "robot.model", "Trace": "trace",
+    "VelocityController": "controller", "load": "config", "load_model": "robot.model",
+    "make_controller": "walks.table", "make_walk": "walks.table", "simulate": "simulation",
+})  # fmt: skip
