@@ -27,6 +27,8 @@ from dqwalk_ros.walks.table import make_controller
 __all__ = ["Trial", "cures", "dynamic_walk", "first_walks", "walk"]
 
 
+_LOADED = 0.01
+"""Least part of a torque-speed line that is reported: less of one shows that its limits are placeholders."""
 _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
 
@@ -65,7 +67,7 @@ class Trial:
         if not self.stood:
             return f"{self.plant}: {self.note}" + "".join(f"; it fell because: {cause}" for cause in self.causes[:1])
         short = f" instead of {self.planned:.3f} m" if self.distance < _SHORT * self.planned else ""
-        load = f", {self.load}" if self.load else ""
+        load = f", {self.load}" if self.load and self.load.part > _LOADED else ""
         return f"{self.plant}: walked {self.distance:.3f} m{short}{load}" + (f", but {self.note}" if self.note else "")
 
 
