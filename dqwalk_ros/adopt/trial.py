@@ -28,7 +28,7 @@ __all__ = ["Trial", "cures", "dynamic_walk", "first_walks", "walk"]
 
 
 _LOADED = 0.01
-"""Least part of a torque-speed line that is reported: less of one shows that its limits are placeholders."""
+"""Least part of a torque-speed line that is reported: joints without torque limit need less."""
 _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
 
