@@ -64,6 +64,26 @@ def test_loads_need_torques() -> None:
     kin, loads = Kinematics.measured(MODEL, q, Foot.LEFT, up), FootLoads(CONFIG, MODEL)
     assert loads.update(kin, State(0.0, q, np.zeros(MODEL.n))) is None
     assert loads.update(kin, at_rest(q, np.full(MODEL.n, np.nan))) is None
+    assert loads.update(kin, at_rest(q, np.where(np.arange(MODEL.n) == 3, np.nan, 1.0))) is None
+
+
+def test_in_the_air_each_foot_has_half_of_nothing() -> None:
+    assert [share_of(foot, np.zeros(2)) for foot in Foot] == [0.5, 0.5]
+
+
+@pytest.mark.parametrize(("passed", "part"), [(0.005, 1.0 / 3.0), (0.01, 0.5), (0.2, 1.0)])
+def test_loads_follow_the_torques_within_the_time_since_the_last_state(passed: float, part: float) -> None:
+    """With a time constant of 10 ms; after a gap they begin again."""
+    q, up = posture(5)
+    kin, efforts = Kinematics.measured(MODEL, q, Foot.LEFT, up), np.random.default_rng(6).normal(size=(2, MODEL.n))
+    first, last = (FootLoads(CONFIG, MODEL).update(kin, at_rest(q, effort)) for effort in efforts)
+    loads = FootLoads(CONFIG, MODEL)
+    for time, effort in ((100.0, efforts[0]), (100.0 + passed, efforts[1])):
+        found = loads.update(kin, replace(at_rest(q, effort), time=time))
+    assert first is not None
+    assert last is not None
+    assert np.abs(last - first).max() > 0.1
+    np.testing.assert_allclose(found, first + part * (last - first), atol=1e-6)
 
 
 @pytest.mark.parametrize("wrong", [10.0, 1e6, 1e100, 1e300])

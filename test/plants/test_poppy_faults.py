@@ -7,7 +7,8 @@ import pytest
 from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, TYPES, VOLTAGE, FaultyServos, Memory
 from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
-from dqwalk_ros.plants.poppy.dynamixel import GAINS, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT
+from dqwalk_ros.plants.poppy.dynamixel import GAINS, GOAL, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT, DynamixelBus
+from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo
 from dqwalk_ros.support.errors import PlantError
 
 KNEE = MOTORS["l_knee_y"].id
@@ -88,6 +89,22 @@ def test_old_angles_are_not_marked_fresh_and_nothing_moves(rig: Rig, fault: str)
         assert not rig.plant.fresh
     assert text in rig.faults
     check_holds(rig, 1.0)
+
+
+def test_each_register_is_written_with_its_own_length(rig: Rig) -> None:
+    """A longer packet would write to the registers behind it."""
+    requests = [packet for servos in rig.memory.servos.values() for packet in servos.requests]
+    written = {(packet[5], packet[6]) for packet in requests if packet[4] == SYNC_WRITE}
+    assert written == {(TORQUE_ENABLE, 1), (GAINS, 3), (GOAL, 4), (TORQUE_LIMIT, 2)}
+
+
+def test_the_only_motor_of_a_bus_is_read_by_itself() -> None:
+    """The adapter would answer a sync read of one motor with the id of this motor."""
+    servos = FaultyServos([EmulatedServo(KNEE, TYPES["MX-28"])])
+    bus = DynamixelBus("one", lambda: EmulatedPort(servos), [KNEE], [TYPES["MX-28"]], sync_read=True)
+    bus.read()
+    assert [packet[4] for packet in servos.requests] == [READ]
+    assert not bus.cause[0]
 
 
 @read_either_way

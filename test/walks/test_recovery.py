@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -112,6 +113,19 @@ def test_steps_take_over_only_from_a_drive_that_is_fast_enough(latency: float, c
     """The servos and half a period delay it by another 22.5 ms."""
     walk = recovering({"servo.assumed_latency": latency})
     assert any(observed(walk, 0.1) for _ in range(9)) is catches
+
+
+@pytest.mark.parametrize("landing", [0.05, -0.05])
+def test_a_push_counts_as_balanced_once_xi_is_between_heels_and_toes_of_both_feet(landing: float) -> None:
+    """At a landing that is moved by 10 mm, on a support foot that is 0.2 m ahead of the origin."""
+    steps = recovering({}).steps
+    half, landed = 0.5 * MODEL.soles[Foot.LEFT].length - steps.config.dynamic.catch_margin, landing + 0.01
+    step = SimpleNamespace(z=np.array([0.2, 0.0]), landing=np.array([0.2 + landing, -0.1]))
+    steps._flight = SimpleNamespace(step=step, shift=np.array([0.01, 0.0]))  # type: ignore[assignment]
+    back, front = min(landed, 0.0) - half, max(landed, 0.0) + half
+    for xi, caught in ((back - 1e-3, False), (back + 1e-3, True), (front - 1e-3, True), (front + 1e-3, False)):
+        steps._now = SimpleNamespace(smooth=np.array([0.2 + xi, 0.0]))  # type: ignore[assignment]
+        assert bool(steps._caught) is caught
 
 
 @pytest.mark.parametrize("foot", list(Foot))
