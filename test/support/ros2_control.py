@@ -41,7 +41,8 @@ class ControllerManager:
         self.plant, self._interface, self._frame = plant, interface, imu_frame
         self._names, self._dt = plant.model.joint_names, 1.0 / rate
         self._order = [joints.index(name) for name in self._names]
-        self._command: np.ndarray | None = None
+        self._command: np.ndarray | None = None  # received
+        self._written: np.ndarray | None = None  # to the hardware
         self._unladen = np.zeros(len(self._names))  # goals are what is commanded, without offsets by torques
         self.updates = 0
 
@@ -61,10 +62,15 @@ class ControllerManager:
         state.velocity = state.effort = [float("nan")] * len(measured)
         state.header.stamp = ros.time_msg(self.stamp)
         imu = ros.imu(self.stamp, self._frame, self.plant.inertial)
+        self._written = self._command
+        self.miss()
+        return state, imu
+
+    def miss(self) -> None:
+        """Simulate one period; by itself, one that the manager misses: it reads nothing, and the last command holds."""
         u, effort = np.zeros(len(self._names)), None
-        if self._command is not None:
-            command, effort = self._command[self._order], self._unladen
+        if self._written is not None:
+            command, effort = self._written[self._order], self._unladen
             u = command if self._interface == "velocity" else (command - self.plant.commanded) / self._dt
         self.plant.step(Command(1e-9 * self.stamp, u, effort), self._dt)
         self.updates += 1
-        return state, imu
