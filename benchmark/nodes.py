@@ -1,10 +1,11 @@
 """The controller node in its own process, over DDS, with this process as the plant. Needs ROS 2.
 
-    python -m benchmark.nodes [--ticks 3000] [--seconds 60]
+    python -m benchmark.nodes [--ticks 3000] [--seconds 60] [--busy 1]
 
-In lockstep the next state is sent when the command for the last one has arrived. In real time states are sent at a
-fixed rate, and a loop that only sleeps to the same schedule is timed in the same minute; a period is missed if its
-command has not arrived when the next state is due.
+In lockstep the next state is sent when the command for the last one has arrived. In real time, in a dynamic walk,
+states are sent at a fixed rate, and a loop that only sleeps to the same schedule is timed in the same minute; a period
+is missed if its command has not arrived when the next state is due. The rates of robots are measured beside processes
+that never sleep, too.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from benchmark.timing import machine, table
 from dqwalk_ros.config import find_share, load
 from dqwalk_ros.robot.model import load_model
 
-RATES = {200: 60.0, 500: 20.0, 1000: 20.0}
+OF_ROBOTS = (50, 100, 200)
+"""Rates at which robots are controlled [1/s]."""
+RATES = {**dict.fromkeys(OF_ROBOTS, 60.0), 500: 20.0, 1000: 20.0}
 """In real time: states per second, and the duration [s] with ``--seconds 60``."""
 
 
@@ -40,7 +43,8 @@ class Plant:
     controller: psutil.Process
     send: Callable[[int, np.ndarray], None]
     spin: Callable[[float], None]
-    n: int
+    start: np.ndarray  # joint angles [rad]
+    began: float  # start of the controller's process [s]
     # by stamp: time of receipt [s], velocity
     answers: dict[int, tuple[float, np.ndarray]] = field(default_factory=dict)
     computed: list[float] = field(default_factory=list)  # compute times that the controller reports [s]
@@ -51,19 +55,22 @@ class Plant:
 
 
 @contextmanager
-def plant(solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
-    """Start a controller with this process as its plant."""
+def plant(name: str, solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
+    """Start a controller of a shipped configuration with this process as its plant."""
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from sensor_msgs.msg import JointState
 
     from dqwalk_ros.nodes import messages as ros
 
-    model = load_model(load("paper").robot)
+    config = load(name)
+    model = load_model(config.robot)
     values = {"plant.lockstep": str(lockstep).lower(), "qp.solver": solver, "dt": dt, "monitor.rate": 20.0}
+    values["gait.steps"] = 1000
     options = [word for key, value in values.items() for word in ("-p", f"{key}:={value}")]
     code = "import sys; from dqwalk_ros.nodes.command_line import main; sys.exit(main('controller', sys.argv[1:]))"
-    params = ["--ros-args", "--params-file", str(find_share("config", "paper.yaml"))]
+    params = ["--ros-args", "--params-file", str(find_share("config", f"{name}.yaml"))]
+    began = time.perf_counter()
     process = subprocess.Popen([sys.executable, "-c", code, *params, *options], stderr=subprocess.DEVNULL)
     rclpy.init()
     try:
@@ -76,11 +83,12 @@ def plant(solver: str, *, lockstep: bool, dt: float) -> Iterator[Plant]:
             controller=psutil.Process(process.pid),
             send=lambda stamp, q: states.publish(write(stamp, position=q)),
             spin=lambda timeout: rclpy.spin_once(node, timeout_sec=timeout),
-            n=model.n,
+            start=model.posture(config.standing.posture),
+            began=began,
         )
 
         def on_command(msg: JointState) -> None:
-            now, velocity = time.perf_counter(), np.empty(model.n)
+            now, velocity = time.perf_counter(), np.zeros(model.n)
             for name, value in zip(msg.name, msg.velocity, strict=True):
                 velocity[index[name]] = value
             made.answers[ros.nanoseconds(msg.header.stamp)] = now, velocity
@@ -108,11 +116,24 @@ def wait_for(made: Plant, condition: Callable[[], object]) -> None:
         made.spin(0.05)
 
 
+def first_answer(made: Plant) -> float:
+    """Send states until the first command; return the time since the start of the controller's process [s]."""
+
+    def answered() -> bool:
+        made.send(time.time_ns(), made.start)
+        return bool(made.answers)
+
+    wait_for(made, answered)
+    when, _ = next(iter(made.answers.values()))
+    made.answers.clear()
+    return when - made.began
+
+
 def in_lockstep(solver: str, ticks: int) -> list[str]:
     """Measure round trips."""
     dt = load("paper").dt
-    with plant(solver, lockstep=True, dt=dt) as made:
-        q, trips, spent, period = np.zeros(made.n), [], 0.0, round(dt * 1e9)
+    with plant("paper", solver, lockstep=True, dt=dt) as made:
+        q, trips, spent, period = made.start, [], 0.0, round(dt * 1e9)
         for tick in range(ticks + 1):
             stamp = (tick + 1) * period
             began = sent = time.perf_counter()
@@ -159,12 +180,29 @@ def bare(rate: float, seconds: float) -> np.ndarray:
     return on_schedule(rate, seconds, lambda k, due: None, time.sleep)
 
 
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Let some processes compute without a pause, at normal priority."""
+
+    def normal() -> None:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"], preexec_fn=normal) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
 def by_the_clock(solver: str, rate: int, seconds: float) -> list[str]:
     """Measure latency, lateness, and missed periods."""
     alone = [bare(rate, 0.25 * seconds)]
-    with plant(solver, lockstep=False, dt=1.0 / rate) as made:
-        q, sent, first = np.zeros(made.n), {}, time.time_ns()
+    with plant("poppy_dynamic", solver, lockstep=False, dt=1.0 / rate) as made:
+        q, sent, first = made.start, {}, time.time_ns()
         latency, missed = [], 0
+        first_command = first_answer(made)
 
         def tick(k: int, due: float) -> None:
             nonlocal q, missed
@@ -199,12 +237,15 @@ def by_the_clock(solver: str, rate: int, seconds: float) -> list[str]:
         computed = np.array(made.computed)
     alone.append(bare(rate, 0.25 * seconds))
     lateness, lone = np.percentile(late, 99), np.percentile(np.concatenate(alone), 99)
-    middle, high = np.percentile(latency, [50, 99])
+    middle, high, most = np.percentile(latency, [50, 99, 100])
     return [
-        f"{rate} Hz, {solver}",
+        str(rate),
+        solver,
+        f"{first_command:.1f}",
         f"{1e3 * np.median(computed):.2f}",
         f"{1e3 * middle:.2f}",
         f"{1e3 * high:.2f}",
+        f"{1e3 * most:.1f}",
         f"{100 * missed / (rate * seconds):.2f}",
         f"{1e3 * lateness:.2f}",
         f"{1e3 * lone:.2f}",
@@ -218,17 +259,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--ticks", type=int, default=3000, help="in lockstep")
     parser.add_argument(
-        "--seconds", type=float, default=60.0, help="by the clock at 200 Hz, a third of it at the others"
+        "--seconds", type=float, default=60.0, help="by the clock up to 200 Hz, a third of it at others"
     )
+    parser.add_argument("--busy", type=int, default=1, help="processes that never sleep, in the last table")
     args = parser.parse_args()
     print(f"{machine()}\n\n### In lockstep\n")
     rows = [in_lockstep(solver, args.ticks) for solver in ("clarabel", "daqp")]
     print(table(["solver", "ticks", "ticks/s", "round trip [us]", "p99 [us]", "controller, CPU per tick [us]"], rows))
+    header = [
+        "rate [Hz]",
+        "solver",
+        "first command [s]",
+        "computes [ms]",
+        "state to command [ms]",
+        "p99 [ms]",
+        "max [ms]",
+    ]
+    header += ["missed [%]", "late, p99 [ms]", "bare loop, p99 [ms]", "ratio", "controller, CPU [%]"]
     print("\n### By the clock\n", flush=True)
     rows = [by_the_clock("clarabel", rate, args.seconds * share / 60.0) for rate, share in RATES.items()]
     rows.append(by_the_clock("daqp", 1000, args.seconds / 3.0))
-    header = ["rate", "computes [ms]", "state to command [ms]", "p99 [ms]", "missed [%]"]
-    print(table([*header, "late, p99 [ms]", "bare loop, p99 [ms]", "ratio", "controller, CPU [%]"], rows))
+    print(table(header, rows))
+    print(f"\n### By the clock, beside busy processes: {args.busy}\n", flush=True)
+    with busy(args.busy):
+        print(table(header, [by_the_clock("clarabel", rate, args.seconds) for rate in OF_ROBOTS]))
 
 
 if __name__ == "__main__":
