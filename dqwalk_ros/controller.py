@@ -231,7 +231,7 @@ class VelocityController:
         if before is not None and 0.0 < (passed := state.time - before.time) <= self.config.plant.command_timeout:
             dq = state.dq if state.dq is not None else (state.q - before.q) / passed
             up = filtered_vertical(before, state)
-        return State(state.time, state.q, dq, up, state.gyro, state.acceleration, state.effort)
+        return State(state.time, state.q, dq, up, state.gyro, state.acceleration, state.effort, state.forces)
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
         """Return the feedforward torques (n,) [N m], including damping; None without an inertial sensor."""

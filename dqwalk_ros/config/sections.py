@@ -410,6 +410,10 @@ class PlantConfig:
     lockstep: bool = parameter(False, "each state waits for its command: deterministic, fast; false: real time")
     clock: bool = parameter(False, "a simulated plant publishes /clock; the other nodes then need use_sim_time: true")
     imu: bool = parameter(False, "each state comes with a message on imu; the controller waits for both")
+    foot_force: bool = parameter(
+        False,
+        "each foot has a force sensor: its load is that of left_foot_wrench and right_foot_wrench; not in lockstep",
+    )
     command_timeout: float = parameter(
         0.1, "without a command for this long the plant stops", "s", 0.0, 10.0, live=True
     )
@@ -581,6 +585,10 @@ class PoppyConfig:
     rate: float = parameter(50.0, "rate at which goals are written and angles are read", "Hz", 5.0, 100.0)
     lower_port: str = parameter("auto", "serial port of the legs, such as /dev/ttyACM0; auto: search for it")
     upper_port: str = parameter("auto", "serial port of the upper body; auto: search for it")
+    load: bool = parameter(
+        False,
+        "publish the torques of the joints of the walk, from the motors' present loads, as effort in joint_states",
+    )
     sync_read: bool = parameter(True, "read all motors of a bus at once: USB2AX true, FTDI and U2D2 false")
     calibration: tuple[str, ...] = parameter((), "angle of a motor where its joint is at zero, JOINT=DEGREES")
     activate: bool = parameter(False, "switch the torque on at start; false: wait for the service ~/activate")

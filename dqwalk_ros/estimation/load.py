@@ -1,4 +1,4 @@
-"""Load of each foot, estimated from the torques of the joints of its leg, such as the present load of a Dynamixel.
+"""Load of each foot: measured, or estimated from the torques of its leg, such as the present load of a Dynamixel.
 
 The joints between pelvis and sole carry the links of their leg, accelerate their rotors, and transmit the force of the
 ground. Seen from the pelvis, with the torques g of the weight beyond each joint, the inertias A of the rotors, the
@@ -55,7 +55,9 @@ class FootLoads:
         self._loads = np.zeros(2)
 
     def update(self, kin: Kinematics, state: State) -> Array | None:
-        """Return the forces on the left and on the right sole, shape (2,) [N]; None without torques and velocities.
+        """Return the forces on the left and on the right sole, shape (2,) [N]; None if nothing tells them.
+
+        Those of sensors are only filtered. Without them torques and velocities are needed.
 
         Parameters
         ----------
@@ -64,9 +66,13 @@ class FootLoads:
         state : State
             The same state may be given again.
         """
+        model, tree, dt = kin.model, kin.tree, state.time - self._time
+        if state.forces is not None:
+            dt = dt if 0.0 <= dt <= _GAP else math.inf
+            self._time, self._loads = state.time, _filtered(self._loads, state.forces, dt, self._weight)
+            return self._loads
         if state.effort is None or state.dq is None or not np.isfinite(state.effort).all():
             return None
-        model, tree, dt = kin.model, kin.tree, state.time - self._time
         moves = (tree.moves[tree.frames[frame][0]] for frame in (model.pelvis, kin.swing))
         soles = model.soles[kin.base].center, kin.point(kin.swing, model.soles[kin.base.other].center)
         if not 0.0 <= dt <= _GAP:
@@ -100,7 +106,12 @@ def _loaded(  # type: ignore[no-untyped-def]
     """Return the filtered loads (2,) of both feet; `right` is whether the right one is the base. See `_forces`."""
     tau = effort - armature * acceleration
     forces = _forces(lines, com, J_com, up, pelvis, other, at_base, at_other, weight, tau)
-    now = np.array([forces[1], forces[0]]) if right else forces
+    return _filtered(loads, np.array([forces[1], forces[0]]) if right else forces, dt, weight)
+
+
+@jit
+def _filtered(loads, now, dt, weight):  # type: ignore[no-untyped-def]
+    """Return the loads (2,) after the forces `now` (2,) [N], of which a sole only pushes."""
     return loads + _approach(dt) * (np.minimum(np.maximum(now, 0.0), _MOST * weight) - loads)
 
 

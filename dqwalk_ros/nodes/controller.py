@@ -23,6 +23,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode, Fields
 from dqwalk_ros.nodes.arms import ArmInput
 from dqwalk_ros.nodes.fall_watch import FallWatch
+from dqwalk_ros.nodes.foot_forces import FootForces
 from dqwalk_ros.nodes.footsteps import FootstepInput
 from dqwalk_ros.nodes.inertial_sensor import InertialSensor
 from dqwalk_ros.nodes.inputs import Steering
@@ -66,6 +67,8 @@ class Controller(AnsweringNode):
         arm_trajectory           trajectory_msgs/JointTrajectory of joints of arms.joints
         left_hand_target, right_hand_target
                                  geometry_msgs/PoseStamped in odom, or in a link of the trunk
+        left_foot_wrench, right_foot_wrench
+                                 geometry_msgs/WrenchStamped with plant.foot_force: ground on a sole
         plant_ready              std_msgs/Bool, latched: the walk waits while this is false
 
     Publishes::
@@ -130,6 +133,7 @@ class Controller(AnsweringNode):
         self._imu = (
             InertialSensor(self, self._model.imu_link, self._gate.inertial, self._take) if config.plant.imu else None
         )
+        self._feet = FootForces(self) if config.plant.foot_force else None
         steered = not walk_type(config).phases(config)
         self._steering = Steering(self, self._controller) if steered else None
         self._footsteps = FootstepInput(self, self._controller, self._odometry) if steered else None
@@ -188,6 +192,8 @@ class Controller(AnsweringNode):
             if state is None or not self._is_new(stamp):
                 return None
             self._look_for_a_fall(state)
+            if self._feet is not None:
+                state.forces = self._feet.at(stamp)
             state = self._gate.accept(stamp, state)
         except StateError as error:
             self._reject(error)

@@ -150,7 +150,11 @@ class PoppyDriver(WalkNode):
             return
         stamp = self._stamp = self.get_clock().now().nanoseconds - round(1e9 * plant.age)
         self._measured_at = measured_at
-        self._states.publish(self._state_msg(stamp, position=plant.measured.q, velocity=plant.measured.dq))
+        effort = plant.state.effort
+        if effort is not None:  # of the joints of the walk
+            effort = np.append(effort, np.full(len(plant.names) - len(effort), np.nan))
+        q, dq = plant.measured.q, plant.measured.dq
+        self._states.publish(self._state_msg(stamp, position=q, velocity=dq, effort=effort))
         if plant.active:
             self._goals.publish(self._goal_msg(stamp, position=plant.goal))
             self._lag = np.maximum(self._lag, np.abs(plant.measured.q - plant.goal))

@@ -30,7 +30,10 @@ class State:
         Specific force, as an accelerometer measures it, in the same frame: 9.81 upwards at rest [m/s^2]. Only the
         odometry uses it.
     effort : ndarray, shape (n,), or None
-        Joint torques [N m], such as the present load of a servo; the load of each foot is estimated from them.
+        Joint torques [N m], such as the present load of a servo; the load of each foot is estimated from them,
+        unless it is measured.
+    forces : ndarray, shape (2,), or None
+        Force of the ground on the left and on the right sole, as sensors of the feet measure it [N].
     loads : ndarray, shape (2,), or None
         Force of the ground on the left and on the right sole along its vertical [N], which the controller fills in;
         None if it is not known.
@@ -45,6 +48,7 @@ class State:
     gyro: Array | None = None
     acceleration: Array | None = None
     effort: Array | None = None
+    forces: Array | None = None
     loads: Array | None = None
     elapsed: float = math.inf
 

@@ -70,7 +70,7 @@ class EnginePlant(Plant):
         self._mounting = mounting.vec4()
         self._to_sensor = np.ascontiguousarray(mounting.rotation_matrix().T)
         self._level = slope_of(config)
-        self._sensors = Sensors(config.sensors)
+        self._sensors, self._foot_force = Sensors(config.sensors), config.plant.foot_force
         self._law = law or ServoGoals.of(config, model, simulated=servos)
         self._make(servos)
         root = None if config.physics.held else standing_root(model, q)
@@ -179,7 +179,8 @@ class EnginePlant(Plant):
         exact = Reading(orientation, gyro, acceleration, q, dq, self._effort)
         r = self._reading = self._sensors.measure(time, exact)
         felt = None if self._sensors.exact else r.acceleration
-        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt, r.effort)
+        feet = np.array([np.linalg.norm(self._wrench(foot)[:3]) for foot in Foot]) if self._foot_force else None
+        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt, r.effort, feet)
 
     # ------------------------------------------------------------------ the engine
 

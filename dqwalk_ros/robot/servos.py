@@ -190,6 +190,11 @@ class Servos:
         out: Array = np.abs(effort + self.back_emf * velocity) / self.torque
         return out
 
+    def effort(self, load: Array, velocity: Array) -> Array:
+        """Return the torques on the joints [N m] of signed loads, the inverse of `load`; shape (..., n) of all."""
+        out: Array = load * self.torque - self.back_emf * velocity
+        return out
+
 
 @dataclass(frozen=True)
 class Drive:

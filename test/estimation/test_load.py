@@ -113,6 +113,20 @@ def test_a_standing_robot_knows_which_foot_bears_what(slope: float) -> None:
     assert share_of(Foot.LEFT, loads) + share_of(Foot.RIGHT, loads) == pytest.approx(1.0)
 
 
+def test_measured_forces_are_the_loads() -> None:
+    """They are filtered, and neither torques nor velocities are needed."""
+    plant = make_plant("physics", CONFIG.updated({"plant.foot_force": True, "physics.slope_side": 0.09}), MODEL)
+    state, true, loads = replace(plant.state, effort=None, dq=None), plant.truth, FootLoads(CONFIG, MODEL)
+    assert true is not None
+    kin = Kinematics.measured(MODEL, state.q, Foot.LEFT, state.up)
+    forces = np.array([np.linalg.norm(true.wrenches[foot][:3]) for foot in Foot])
+    assert loads.update(kin, state) == pytest.approx(forces)
+    assert forces.sum() == pytest.approx(MODEL.mass * GRAVITY, rel=0.02)
+    lifted = replace(state, time=state.time + CONFIG.dt, forces=np.array([0.0, 1e300]))
+    left, right = np.asarray(loads.update(kin, lifted)) / forces
+    assert 0.5 < left < 1.0 < right < 3.0
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("slope", [0.0, 0.105])
 def test_a_walking_robot_knows_which_foot_bears_what(slope: float) -> None:

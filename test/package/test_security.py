@@ -70,7 +70,9 @@ def test_every_node_has_an_enclave_and_the_operator_may_call_every_service() -> 
 
 OWN = {"recorder": ["--bag", "bag"], "viewer": ["--port", "0"], "pilot": ["--cmd-vel", "0.01,0,0,1"]}
 PAPER = load("paper").updated({"dt": 0.02, "poppy.dummy": True})
-STEERED = with_files(load("poppy"), [Path("arms")]).updated({"dt": 0.02, "gait.steps": 0, "plant.imu": True})
+STEERED = with_files(load("poppy"), [Path("arms")]).updated(
+    {"dt": 0.02, "gait.steps": 0, "plant.imu": True, "plant.foot_force": True}
+)
 CONFIGS = dict.fromkeys(("controller", "physics", "pilot"), STEERED)
 CONFIGS |= dict.fromkeys(("whole_body_controller", "rigid"), load("whole_body"))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -46,9 +47,13 @@ class LoadedServo(EmulatedServo):
         self.write(PRESENT, self.present)
 
     def measure(self, degrees: float, speed: float, torque: float) -> None:
-        """Set position [deg], speed [deg/s] and load [N m] of its axis, in the units of the registers."""
+        """Set position [deg] and speed [deg/s] of its axis, and the load of its torque [N m], in the registers' units.
+
+        The load is the duty cycle: a torque, and the back EMF.
+        """
         words = [self.kind.position(degrees)]
-        for value in (speed / self.kind.speed_unit, 1023.0 * torque / self.kind.stall_torque):
+        duty = torque / self.kind.stall_torque + math.radians(speed) / self.kind.no_load_speed
+        for value in (speed / self.kind.speed_unit, 1023.0 * duty):
             words.append(min(round(abs(value)), 1023) | (1024 if value < 0.0 else 0))
         self.present = b"".join(word.to_bytes(2, "little") for word in words)
 
@@ -115,7 +120,7 @@ class PoppyOnTheFloor(Plant):
 
     def _sensed(self, measured: State) -> State:
         """Return the angles of the motors with the measurements of the inertial sensor."""
-        return replace(self.robot.state, q=measured.q, dq=measured.dq)
+        return replace(self.robot.state, q=measured.q, dq=measured.dq, effort=measured.effort)
 
     @property
     def state(self) -> State:
@@ -179,6 +184,17 @@ def test_20_steps_through_the_driver(gain: int, seed: int) -> None:
 
 def test_the_robot_walks_dynamically_through_the_driver() -> None:
     check_walk(settings(254, 0, 6, DYNAMIC), ramp=2, least_inside=INSIDE[254], **LESS_EXACT)
+
+
+@pytest.mark.long
+def test_the_driver_knows_which_foot_bears_what() -> None:
+    """From the present loads of the motors, whose bus is slow and late."""
+    config = settings(254, 0, 6, DYNAMIC).updated({"poppy.load": True})
+    trace = simulate(make_controller(config, MODEL), PoppyOnTheFloor(config, MODEL))
+    assert trace.finished, trace.notes
+    error = report(analyse(trace))["physics"]["load_error"]
+    print(f"the load of a foot is {error:.3f} of the weight off (median)")
+    assert error < 0.1
 
 
 @pytest.mark.long

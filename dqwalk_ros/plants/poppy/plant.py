@@ -38,7 +38,7 @@ from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
 from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
 from dqwalk_ros.robot.limits import JointLimits
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.servos import Drive, ServoType, load_types
+from dqwalk_ros.robot.servos import Drive, Servos, ServoType, load_types
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, PlantError
@@ -233,7 +233,9 @@ class PoppyPlant(Plant):
         self._gate = AngleGate(
             self.names, fastest, _SLACK, longest=lambda: _REACH, timeout=lambda: config.plant.command_timeout
         )
-        drive = Drive.of(typed(config, self._table[:n]), model)
+        of_joints = typed(config, self._table[:n])
+        drive, self._servos = Drive.of(of_joints, model), Servos.of(of_joints, model)
+        self._direction = np.array([1.0 if motor.direct else -1.0 for motor in self._table[:n]])
         stiffness = np.append(drive.stiffness, (stall / self._full_error)[n:])
         if own.dummy:  # emulated servos carry no load
             stiffness[:] = 0.0
@@ -340,9 +342,12 @@ class PoppyPlant(Plant):
 
     @property
     def state(self) -> State:
-        """Last measured angles and velocities of the joints of the model."""
+        """Last measured angles and velocities of the joints of the model, with ``poppy.load`` also their torques."""
         n = self._model.n
-        return State(self._time, self.measured.q[:n].copy(), self.measured.dq[:n].copy())
+        q, dq, effort = self.measured.q[:n].copy(), self.measured.dq[:n].copy(), None
+        if self._config.load:
+            effort = self._servos.effort(0.01 * self._direction * self.measured.load[:n], dq)
+        return State(self._time, q, dq, effort=effort)
 
     @property
     def commanded(self) -> Array:
