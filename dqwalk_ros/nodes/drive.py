@@ -1,6 +1,8 @@
 """Converts the commands of the walk for the controllers of any robot, such as those of ros2_control.
 
-The positions are those of `plants.servo_goals`. A velocity interface gets the velocity that leads to them.
+The positions are those of `plants.servo_goals`. A velocity interface gets the velocity that leads to them from where
+those sent before lead, each for as long as it is in effect: the robot's controller writes it when it publishes the next
+state, and until it does so again, also where a period is missed.
 """
 
 from __future__ import annotations
@@ -124,6 +126,7 @@ class RobotDrive(WalkNode):
         self._moved = self._stopped = 0.0  # times of the last command, and since when the robot stays [s]
         self._blind = ""  # why no command can have an effect
         self._last: Array | None = None  # values sent last
+        self._led, self._holds, self._next = np.zeros((3, len(own)))  # by velocity: see `_lead_to`
         self._rejected = 0
         self.create_service(Trigger, "~/reset", self._reset)
         self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
@@ -171,22 +174,39 @@ class RobotDrive(WalkNode):
             self._law.begin(held=self._law.goal if self.config.output.interface == "position" else None)
             self._rest = np.median(self._recent, axis=0)
             self._moved = now - period
+            self._rest_at(self._law.goal)
         dt = min(now - self._moved, _PERIODS * period)
-        u, before = gate.velocity(self._law.wanted, dt), self._law.goal
+        u, before, passed = gate.velocity(self._law.wanted, dt), self._law.goal, now - self._moved
         if dt <= 0.0:  # a clock that did not advance: only a stop has an effect
             if not u.any():
                 self._stay()
             return
         self._law.command(u, gate.effort, now, dt)
         self._moved = self._stopped = now
-        goals, _ = self._law.output(now)
         if self.config.output.interface == "position":
             out = self._rest.copy()  # joints that the walk does not move stay where they were
-            out[self._own] = goals
+            out[self._own], _ = self._law.output(now)
         else:
+            if not u.any():
+                self._rest_at(before)
             out = np.zeros_like(self._rest)
-            out[self._own] = (self._law.goal - before) / dt
+            out[self._own] = self._lead_to(self._law.goal, passed)
         self._publish(out)
+
+    def _lead_to(self, goal: Array, passed: float) -> Array:
+        """Return the velocities (n,) [rad/s] that lead to positions [rad], `passed` [s] after the last command.
+
+        `_led` is where the joints have been led until now [rad]; `_holds` is in effect from now on, for a period.
+        """
+        period, fastest = self.config.dt, self._model.velocity_max
+        self._led = self._led + passed * self._holds
+        self._holds = self._next
+        self._next = np.clip((goal - self._led) / period - self._holds, -fastest, fastest)
+        return self._next
+
+    def _rest_at(self, q: Array) -> None:
+        """Catch up nothing: take joints for led to `q` (n,) [rad]."""
+        self._led, self._holds, self._next = q, np.zeros_like(q), np.zeros_like(q)
 
     def _check(self) -> None:
         """Command the robot to stay while it must; repeatedly, because a message may be lost."""
@@ -220,6 +240,7 @@ class RobotDrive(WalkNode):
         if self._last is not None and self._law.active:
             position = self.config.output.interface == "position"
             self._publish(self._last if position else np.zeros_like(self._last))
+            self._rest_at(self._law.goal)
             if self._now() - self._stopped > _REPEATED:
                 self._law.end()  # the robot may be switched off and moved by hand
 
