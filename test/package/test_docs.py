@@ -24,7 +24,8 @@ from dqwalk_ros.walks.course import speeds
 from dqwalk_ros.walks.table import walk_type
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+GENERATED = ROOT / "docs/nodes"  # by `make docs`
+PAGES = sorted(p for p in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")] if GENERATED not in p.parents)
 OURS = [ROOT / "docs/tutorial.md", ROOT / "docs/see.md"]
 
 
