@@ -43,7 +43,7 @@ def remembered(kind: str, key: bytes, make: Callable[[], T]) -> T:
     Parameters
     ----------
     kind : str
-        Name of a folder; the latest results of a kind are kept.
+        Name of a folder; the results of a kind that were used last are kept.
     key : bytes
         Everything on which the result depends, such as the content of files, of the program's own as well.
     make : callable
@@ -56,6 +56,8 @@ def remembered(kind: str, key: bytes, make: Callable[[], T]) -> T:
     file = folder / hashlib.sha256(key).hexdigest()
     with contextlib.suppress(Exception):  # missing, cut off, or of another version of a class: it is made again
         made: T = pickle.loads(file.read_bytes())
+        with contextlib.suppress(OSError):
+            file.touch()
         return made
     made = make()
     with contextlib.suppress(OSError):

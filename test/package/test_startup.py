@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from dqwalk_ros.config import load
-from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot import model
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -69,7 +69,8 @@ IMPORTS = {
 @pytest.mark.parametrize("name", IMPORTS)
 def test_modules_are_imported_when_needed(name):
     code, unused = IMPORTS[name]
-    load_model(load("paper").robot)
+    model._remembered.cache_clear()
+    model.load_model(load("paper").robot)  # remembered on disk
     shown = python(f"{code}\nimport sys\nprint([name for name in {unused!r} if name in sys.modules])").stdout
     assert shown.splitlines()[-1] == "[]"
 

@@ -92,7 +92,7 @@ def subclasses(parent):
     while stack:
         for cls in stack.pop().__subclasses__():
             stack.append(cls)
-            if not cls.__abstractmethods__ and cls.__module__.startswith("dqwalk_ros."):
+            if not cls.__abstractmethods__ and hasattr(cls, "function") and cls.__module__.startswith("dqwalk_ros."):
                 found.append(cls)
     return sorted(found, key=lambda cls: cls.__name__)
 
