@@ -26,7 +26,7 @@ def description_in(path: pathlib.Path) -> pathlib.Path:
     Raises
     ------
     ModelError
-        If there is none, or there are several, or the file has to be downloaded or unpacked first.
+        If a folder holds no description or several, or if it is an archive or a web address.
     """
     if path.is_dir():
         for kind in _KINDS:

@@ -55,9 +55,9 @@ class FootLoads:
         self._loads = np.zeros(2)
 
     def update(self, kin: Kinematics, state: State) -> Array | None:
-        """Return the forces on the left and on the right sole, shape (2,) [N]; None if nothing tells them.
+        """Return the forces on the left and on the right sole, shape (2,) [N]; None if they are not known.
 
-        Those of sensors are only filtered. Without them torques and velocities are needed.
+        Those that sensors measure are only filtered; others are estimated from torques and velocities.
 
         Parameters
         ----------

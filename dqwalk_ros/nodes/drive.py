@@ -175,8 +175,9 @@ class RobotDrive(WalkNode):
             self._rest = np.median(self._recent, axis=0)
             self._moved = now - period
             self._rest_at(self._law.goal)
-        dt = min(now - self._moved, _PERIODS * period)
-        u, before, passed = gate.velocity(self._law.wanted, dt), self._law.goal, now - self._moved
+        passed = now - self._moved
+        dt = min(passed, _PERIODS * period)
+        u, before = gate.velocity(self._law.wanted, dt), self._law.goal
         if dt <= 0.0:  # a clock that did not advance: only a stop has an effect
             if not u.any():
                 self._stay()
@@ -187,21 +188,23 @@ class RobotDrive(WalkNode):
             out = self._rest.copy()  # joints that the walk does not move stay where they were
             out[self._own], _ = self._law.output(now)
         else:
-            if not u.any():
-                self._rest_at(before)
             out = np.zeros_like(self._rest)
-            out[self._own] = self._lead_to(self._law.goal, passed)
+            out[self._own] = self._lead_to(self._law.goal, (self._law.goal - before) / dt, passed)
         self._publish(out)
 
-    def _lead_to(self, goal: Array, passed: float) -> Array:
+    def _lead_to(self, goal: Array, asked: Array, passed: float) -> Array:
         """Return the velocities (n,) [rad/s] that lead to positions [rad], `passed` [s] after the last command.
 
-        `_led` is where the joints have been led until now [rad]; `_holds` is in effect from now on, for a period.
+        `_led` is where the joints have been led until now [rad]; `_holds` is in effect from now on, for a period. A
+        joint that was led too far waits: it moves neither against the velocity `asked` for [rad/s], nor at more than
+        twice that.
         """
-        period, fastest = self.config.dt, self._model.velocity_max
+        fastest, twice = self._model.velocity_max, 2.0 * asked
         self._led = self._led + passed * self._holds
         self._holds = self._next
-        self._next = np.clip((goal - self._led) / period - self._holds, -fastest, fastest)
+        wanted = (goal - self._led) / self.config.dt - self._holds
+        least, most = np.maximum(np.minimum(twice, 0.0), -fastest), np.minimum(np.maximum(twice, 0.0), fastest)
+        self._next = np.clip(wanted, least, most)
         return self._next
 
     def _rest_at(self, q: Array) -> None:

@@ -236,22 +236,39 @@ def test_velocity_output_matches_position_output_within_limits(make: Any) -> Non
     np.testing.assert_allclose(POSTURE + DT * output["velocity"].sum(axis=0), output["position"][-1], atol=1e-9)
 
 
-@pytest.mark.parametrize("stop", [0.01, 0.0])
-def test_velocities_lead_to_the_positions_also_where_a_period_is_missed(make: Any, stop: float) -> None:
-    """What a velocity moves too far is taken back, unless the motion has stopped."""
-    speeds, led, holds = (0.02, -0.01, None, 0.03, 0.02, None, stop, 0.02, 0.01), POSTURE.copy(), np.zeros(MODEL.n)
+def led_by(make: Any, speeds: tuple[float | None, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far velocities lead beyond the positions at the end, shape (n,), and the velocities (N, n).
+
+    In a period without a speed the controller of the robot neither publishes a state nor writes a command.
+    """
     position = Driven(make)
     for speed in speeds:
         position.tick(speed)
-    velocity = Driven(make, output__interface="velocity")
+    velocity, led, holds = Driven(make, output__interface="velocity"), POSTURE.copy(), np.zeros(MODEL.n)
     for speed in speeds:
-        if speed is not None and velocity.sent:  # the robot's controller writes what it has received
+        if speed is not None and velocity.sent:  # it writes what it has received
             holds = velocity.out
         velocity.tick(speed)
         led = led + DT * holds
-    led = led + DT * velocity.out
-    off = led - position.out
-    assert np.abs(off).max() < 1e-9 if stop else np.abs(off).min() > 1e-5
+    return led + DT * velocity.out - position.out, np.array([msg.data[: MODEL.n] for msg in velocity.sent])
+
+
+def test_velocities_lead_to_the_positions_also_where_a_period_is_missed(make: Any) -> None:
+    off, _ = led_by(make, (0.02, -0.01, None, 0.03, 0.02, None, 0.01, 0.02, 0.01, 0.02))
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+
+
+def test_a_stop_takes_back_nothing(make: Any) -> None:
+    off, sent = led_by(make, (0.02, 0.02, None, None, 0.0))
+    assert (off > 1e-5).all()
+    assert not sent[-1].any()
+
+
+def test_joints_led_too_far_wait_and_never_move_against_their_command(make: Any) -> None:
+    off, sent = led_by(make, (*[0.02] * 5, *[None] * 4, *[0.02] * 10))
+    assert sent.min() >= 0.0
+    assert sent.max() <= 0.04 + 1e-9
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
 
 
 # ---------------------------------------------------------------------- end of the motion

@@ -32,6 +32,16 @@ def test_a_damaged_result_is_made_again(folder: Path, content: bytes) -> None:
     assert remembered("numbers", b"a", lambda: 3) == 2
 
 
+def test_a_result_that_is_used_is_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "_MOST", 2)
+    remembered("numbers", b"used", lambda: 0)
+    for n in range(4):
+        for file in folder.iterdir():  # as if a second later
+            os.utime(file, ns=(file.stat().st_atime_ns, file.stat().st_mtime_ns - 10**9))
+        assert remembered("numbers", b"used", lambda: -1) == 0
+        remembered("numbers", bytes([n]), lambda n=n: n)
+
+
 def test_the_latest_results_are_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "_MOST", 3)
     for n in range(5):

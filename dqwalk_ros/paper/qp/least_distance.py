@@ -79,8 +79,8 @@ class NnlsSolver:
     """Lawson & Hanson's least distance programming: its dual is a problem of non-negative least squares.
 
     The multipliers y >= 0 of A't <= b minimise |[A; b'] y + f|^2 with f = (0, ..., 0, 1). With its residual r, the
-    solution is t = -r[:n] / r[n], and the multipliers are y / r[n]; with r = 0 there is none, and y are the rows in
-    conflict. An equality counts as two inequalities.
+    solution is t = -r[:n] / r[n], and the multipliers are y / r[n]; if r = 0 there is no solution, and the rows with
+    y > 0 are in conflict. An equality counts as two inequalities.
     """
 
     name = "nnls"

@@ -61,10 +61,11 @@ _CONFIRMED = 0.015
 _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
 _AHEAD_OF_DELAY = 0.75
-"""Part of the delay by which the reference of the CoM is ahead; with less the weight is transferred late, and with all
-of it a bus at 50 Hz tilts the soles."""
+"""Part of the delay less a period by which the reference of the CoM is ahead; with less the weight is transferred late,
+and with all of it a bus at 50 Hz tilts the soles."""
 _DOWN_AHEAD = 1.4
-"""Part of the delay by which the path of a swing foot ends early; with less the leg still moves when the foot lands."""
+"""Multiple of the delay less a period by which the path of a swing foot ends early; with less the leg still moves when
+the foot lands."""
 _LATERAL = 0.9
 """Least lateral part of the axis of a joint that pitches the trunk."""
 _SHIFT = 0.1
