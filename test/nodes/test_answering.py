@@ -140,17 +140,22 @@ def test_consecutive_impossible_states_end_the_walk_with_zero(make: Any) -> None
     assert not walk.tick()
 
 
+def unsolved(*_: Any) -> Command:
+    raise QPError("no solution", status="Infeasible")
+
+
 def test_a_walk_that_fails_while_it_pauses_is_not_started_again(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     walk = Answered(make)
     assert any(walk.tick())
     monkeypatch.setattr(type(walk.node._controller), "may_hold", False)
     assert "puts its feet together" in walk.one.call("pause", Trigger.Request()).message
-    for _ in range(3):
-        walk.tick(0.4 * np.eye(MODEL.n)[1])
+    monkeypatch.setattr(walk.node._controller, "step", unsolved)
+    for _ in range(CONFIG.safety.failures):
+        walk.tick()
     answer = walk.one.call("start", Trigger.Request())
     assert not answer.success
-    assert "call ~/reset first" in answer.message
-    assert not walk.tick()
+    assert "it failed: no solution" in answer.message
+    assert not any(walk.tick())
 
 
 def test_errors_of_the_controller_are_tolerated_as_configured(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:

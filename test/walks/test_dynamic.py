@@ -23,12 +23,15 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, bag, report
+from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.simulation import closed_loop, simulate, warm_up
 from dqwalk_ros.studies import robustness
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.dynamic import walk as dynamic_walk
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
+from dqwalk_ros.walks.dynamic.force import converging
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
 from dqwalk_ros.walks.dynamic.pendulum import Pendulum, angular_momentum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Rest, Support, single_supports
@@ -417,6 +420,34 @@ def swing_target(config: dq.Config, q: np.ndarray, before: np.ndarray, up: np.nd
 def inclined(degrees: float) -> np.ndarray:
     """Return the vertical in axes of a sole that is inclined about its x axis."""
     return np.array([0.0, math.sin(math.radians(degrees)), math.cos(math.radians(degrees))])
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.02, 0.04])
+def test_a_delay_moves_foot_pressure_and_reference_ahead(latency: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With D, the delay less a period: the foot is down 1.4 D early, the reference of the CoM ahead by 0.75 D.
+
+    In double support the plan's pressure is that of D before the command acts: until then one foot is in the air.
+    """
+    config = CONFIG.updated({"servo.latency": latency, "servo.assumed_latency": latency, "dynamic.catch": False})
+    q, up, drive = MODEL.posture(config.standing.posture), inclined(0.0), Drive.of(config, MODEL)
+    ahead = max(drive.delay - config.dt, 0.0)
+    down = config.standing.swing_duration - 1.4 * ahead
+    heights = [swing_target(config, q, up, up, math.ceil(down / config.dt) + k)[2] for k in (-3, 0)]
+    level = swing_target(config, q, up, up, 200)[2]
+    assert heights[0] > level + 1e-6
+    assert heights[1] == pytest.approx(level, abs=1e-9)
+
+    walk, asked, led = prepared(config), [], []
+    both = walk.phase(PhaseKind.DOUBLE_SUPPORT, Foot.RIGHT, q)
+    kin = Kinematics(MODEL, q, Foot.LEFT, up)
+    walk.observe(both, kin, still(1.0, q, up, 0.0))
+    planned = walk._reference
+    monkeypatch.setattr(planned, "at", lambda t: (asked.append(t), type(planned).at(planned, t))[1])
+    monkeypatch.setattr(dynamic_walk, "converging", lambda *numbers: (led.append(numbers), converging(*numbers))[1])
+    walk.observe(both, kin, still(1.0 + config.dt, q, up, config.dt))
+    assert {config.dt + drive.delay, config.dt + drive.delay - ahead} <= set(asked)
+    assert led[0][4] == pytest.approx(0.75 * ahead)
+    np.testing.assert_array_equal(led[0][2], planned.at(config.dt + led[0][4])[0])
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.04])
