@@ -37,7 +37,7 @@ def row(path: Path, out: Path) -> list[Any]:
     took = time.perf_counter() - began
     config = load(out / "robot.yaml")
     model = load_model(config.robot)
-    walked, whole = walk(config, "physics"), walk(load(out / "paper.yaml"), "kinematic")
+    walked, whole = walk(config, "physics"), walk(load(out / "paper.yaml"), "integrator")
     ground = walked["physics"]
     return [
         path.stem,

@@ -40,7 +40,7 @@ class Trial:
     Attributes
     ----------
     plant : str
-        ``kinematic`` or ``physics``; ``dynamic walk`` if it is this walk in physics.
+        ``integrator`` or ``physics``; ``dynamic walk`` if it is this walk in physics.
     stood : bool
         Whether the walk was completed.
     distance : float
@@ -82,7 +82,7 @@ def first_walks(
     """
     config, model, file = found.config, found.model, found.folder / "robot.yaml"
     names: list[str] = []
-    first = walk(config, model, "kinematic", progress)
+    first = walk(config, model, "integrator", progress)
     yield first, ""
     if not first.stood:
         return
@@ -113,7 +113,7 @@ def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambd
 
 
 def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[float, str], None]) -> Trial:
-    """Walk as far as the configuration says, or one cycle of the paper's walk, on ``kinematic`` or ``physics``.
+    """Walk as far as the configuration says, or one cycle of the paper's walk, on ``integrator`` or ``physics``.
 
     An error of the walk is the `note` of the result.
     """

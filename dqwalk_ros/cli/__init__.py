@@ -45,19 +45,11 @@ COMMANDS = (
 
 _EPILOG = """\b
 examples:
-  dqwalk simulate --cycles 1 --out walk     walk in this process: bag, figures and report in walk/
-  dqwalk walk --cycles 1 --out walk         the same through ROS 2: four nodes, each in its own process
-  dqwalk reach                              walk so that the hand reaches its target (whole body)
-  dqwalk report walk/bag                    evaluate and draw any recorded walk
-  dqwalk view walk/bag                      replay it in the browser
-  dqwalk robustness, dqwalk pushes          which robots, floors and pushes a walk survives in physics
-  dqwalk evidence --sample 2                what docs/results/ claims, in two physics engines
-  dqwalk study studies/step_length.yaml     walk many times with parameters varied
-  dqwalk exercise, dqwalk identify BAG      what the servos of a robot that hangs do; dqwalk replay BAG compares
-  dqwalk adopt my_robot.urdf                another robot: a configuration that walks
-  dqwalk servos adopted                     how fast it can walk with its servos, and with others
-  dqwalk doctor                             is this robot ready to walk?
-  dqwalk config                             every parameter with its unit, range and meaning
+  dqwalk simulate --out walk                                      the paper's walk: bag, figures and report in walk/
+  dqwalk simulate --config poppy_dynamic --plant physics --view   the dynamic walk in MuJoCo, shown in the browser
+  dqwalk report walk/bag --html                                   evaluate a recorded walk, on one page
+  dqwalk adopt my_robot.urdf                                      another robot: a configuration that walks
+  dqwalk doctor --plant poppy                                     is this robot ready to walk? (docs/hardware.md)
 
 exit code: 0 success; 1 the walk failed or violated a constraint, or a file cannot be read or written; 2 wrong
 arguments or configuration

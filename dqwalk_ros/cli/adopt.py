@@ -57,9 +57,9 @@ examples:
 @folder_option("adopted")
 @force_option
 @click.option("--package-path", "places", metavar="DIR", multiple=True, type=click.Path(path_type=Path),
-              help="Also search for ROS packages here; may be given several times.")  # fmt: skip
+              help="Also search for ROS packages here; may be repeated.")  # fmt: skip
 @click.option("--xacro", "arguments", metavar="NAME=VALUE", multiple=True,
-              help="Argument of a xacro file; may be given several times.")  # fmt: skip
+              help="Argument of a xacro file; may be repeated.")  # fmt: skip
 @click.option("--left", metavar="LINK", default="", show_default=False, help="Link of the left foot.")
 @click.option("--right", metavar="LINK", default="", show_default=False, help="Link of the right foot.")
 @click.option("--forward", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Forward axis of the root link.")

@@ -32,10 +32,10 @@ examples:
 @config_option("poppy")
 @params_option
 @plant_option(list(PLANTS), "poppy")
-@click.option("--seconds", metavar="S", type=Real(0.5, 600.0), default=5.0, help="Time to listen, 5 s at least.")
+@click.option("--seconds", metavar="S", type=Real(0.5, 600.0), default=5.0, help="Time to listen [s].")
 @click.option("--namespace", metavar="NAME", default="", show_default=False, callback=_namespace,
               help="Namespace of the robot.")  # fmt: skip
-@click.option("--offline", is_flag=True, help="Do not listen to the robot.")
+@click.option("--offline", is_flag=True, help="Check the configuration only.")
 @set_option
 def doctor(
     config: str,

@@ -51,9 +51,16 @@ examples:
     type=click.Choice([name for name in PHYSICS if name != "poppy_as_built"]),
     multiple=True,
     default=("physics", "drake"),
-    help="Physics engine; may be given several times.",
+    help="Physics engine; may be repeated.",
 )
-@click.option("--sample", metavar="N", type=click.IntRange(0), default=0, show_default="all", help="Walks of each row.")
+@click.option(
+    "--sample",
+    metavar="N",
+    type=click.IntRange(0),
+    default=0,
+    show_default="all",
+    help="Walks of each row that are simulated.",
+)
 @many_options("evidence")
 def evidence(path: str, engines: tuple[str, ...], sample: int, many: Many) -> int:
     """Simulate what the tables of results claim, in two engines.

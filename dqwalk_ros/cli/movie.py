@@ -38,8 +38,10 @@ examples:
     default="walk.gif",
     help=".gif, .webp, or .png for a strip.",
 )
-@click.option("--speed", type=Real(0.01, 1e3), default=2.0, help="Relative to real time.")
-@click.option("--rate", type=Real(0.01, 100.0), default=12.5, help="Pictures per second.")
+@click.option(
+    "--speed", metavar="X", type=Real(0.01, 1e3), default=2.0, help="Speed of the movie, relative to real time."
+)
+@click.option("--rate", metavar="HZ", type=Real(0.01, 100.0), default=12.5, help="Pictures per second of the movie.")
 @click.option("--strip", metavar="N", type=click.IntRange(1, 100), default=8, help="Pictures of a strip.")
 @click.option("--between", metavar="A,B", type=Numbers(2), help="First and last time of a strip [s]; default: all.")
 @force_option

@@ -128,22 +128,25 @@ set_option = click.option(
     "changes",
     metavar="KEY=VALUE",
     multiple=True,
-    help="Change one parameter (`dqwalk config` lists them); may be given several times.",
+    help="Change one parameter (`dqwalk config` lists them); may be repeated.",
 )
 params_option = click.option(
     "--params",
     metavar="FILE",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="Further parameter file, such as that of `dqwalk identify`, or a name in config/overlays; may be repeated.",
+    help="Parameter file, such as that of `dqwalk identify`, or a name in config/overlays; may be repeated.",
 )
 force_option = click.option("--force", is_flag=True, help="Replace earlier results.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print no progress and no tables.")
-jobs_option = click.option(
-    "--jobs", metavar="N", type=click.IntRange(1), default=2, help="Number of parallel processes."
-)
+jobs_option = click.option("--jobs", metavar="N", type=click.IntRange(1), default=2, help="Parallel processes.")
 format_option = click.option(
-    "--format", "formats", metavar="LIST", callback=_formats, default="png", help="png, pdf, svg."
+    "--format",
+    "formats",
+    metavar="LIST",
+    callback=_formats,
+    default="png",
+    help="Formats of the figures: png, pdf, svg, separated by commas.",
 )
 
 
@@ -156,7 +159,9 @@ def walk_options(plants: Sequence[str]) -> Option:
     options: list[Option] = [
         config_option("paper"),
         params_option,
-        click.option("--cycles", metavar="N", type=int, help="Walking cycles of four phases (gait.cycles)."),
+        click.option(
+            "--cycles", metavar="N", type=int, help="Cycles of four phases of the paper's walk (gait.cycles)."
+        ),
         click.option("--first", type=click.Choice(["left", "right"]), help="First support foot (gait.first_support)."),
         set_option,
         click.option(
@@ -164,8 +169,7 @@ def walk_options(plants: Sequence[str]) -> Option:
             "course",
             metavar="X,Y,TURN,S",
             multiple=True,
-            help="Steer a standing or dynamic walk: ahead, left [m/s], turn [rad/s], duration [s]; then the next one, "
-            "or stop.",
+            help="Steer a standing or dynamic walk: ahead, left [m/s], turn [rad/s], duration [s]; may be repeated.",
         ),
         plant_option(plants, plants[0]),
     ]
@@ -255,7 +259,7 @@ class Many(Output):
 def many_options(default: str | None, shown: str = "") -> Option:
     """Return a decorator that adds the options of `Many`, which the function gets as `many`."""
     scheduler = click.option(
-        "--scheduler", metavar="ADDRESS", help="Address of a Dask scheduler to use instead, such as tcp://host:8786."
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead, such as tcp://host:8786."
     )
     return _gathered(Many, "many", [jobs_option, scheduler, folder_option(default, shown), force_option, quiet_option])
 

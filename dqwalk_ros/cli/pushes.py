@@ -55,8 +55,10 @@ examples:
     default="all",
     help="Standing, or in the middle of a step on this foot.",
 )
-@click.option("--part", type=Real(0.0, 0.95), default=0.5, help="Fraction of a step after which the push begins.")
-@click.option("--directions", metavar="N", type=click.IntRange(1, 360), default=8, help="Evenly spread.")
+@click.option(
+    "--part", metavar="X", type=Real(0.0, 0.95), default=0.5, help="Fraction of the step at which the push begins."
+)
+@click.option("--directions", metavar="N", type=click.IntRange(1, 360), default=8, help="Directions, evenly spread.")
 @click.option(
     "--duration", metavar="S", type=Real(0.0, 10.0, min_open=True), default=0.1, help="Duration of each push [s]."
 )

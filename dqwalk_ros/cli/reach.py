@@ -49,20 +49,29 @@ examples:
 @config_option("whole_body")
 @click.option("--test", type=click.Choice(["1", "2", "both"]), default="both", help="Test of the paper.")
 @click.option("--pushes", is_flag=True, help="Find the largest push survived, in eight directions.")
-@click.option("--when", metavar="S", type=Real(0.0, 600.0), default=2.5, help="--pushes: time of the push.")
-@click.option("--exact", metavar="R", type=Real(0.0, 1e3, min_open=True), default=1.0, help="--pushes: accuracy [N s].")
+@click.option("--when", metavar="S", type=Real(0.0, 600.0), default=2.5, help="--pushes: time of the push [s].")
+@click.option(
+    "--tolerance", metavar="NS", type=Real(0.0, 1e3, min_open=True), default=1.0,
+    help="--pushes: accuracy of each impulse [N s].",
+)  # fmt: skip
 @jobs_option
 @click.option(
     "--plant",
     type=click.Choice(["rigid", "physics", "both"]),
     default="rigid",
-    help="physics: MuJoCo, torque-controlled.",
+    help="rigid: rigid bodies and ground; physics: MuJoCo.",
 )
 @click.option("--paper-times", is_flag=True, help="The target jumps at 4 and 8 s (paper), not as in the thesis.")
 @click.option("--target", metavar="X,Y,Z", type=Numbers(3), help="One target of the hand instead of the test's [m].")
-@click.option("--push", metavar="T,X,Y,Z", type=Numbers(4), multiple=True, help="Another push [s, N s].")
 @click.option(
-    "--duration", metavar="S", type=Real(0.0, 600.0, min_open=True), help="Duration instead of the test's 14 s."
+    "--push",
+    metavar="T,X,Y,Z",
+    type=Numbers(4),
+    multiple=True,
+    help="Another push of the torso [s, N s]; may be repeated.",
+)
+@click.option(
+    "--duration", metavar="S", type=Real(0.0, 600.0, min_open=True), help="Duration instead of the test's 14 s [s]."
 )
 @set_option
 @output_options("reach")
@@ -71,7 +80,7 @@ def reach(
     test: str,
     pushes: bool,
     when: float,
-    exact: float,
+    tolerance: float,
     jobs: int,
     plant: str,
     paper_times: bool,
@@ -107,7 +116,7 @@ def reach(
         refuse_existing(out / name for name in ("report.json", *names))
     controller = WholeBodyController(made, load_model(made.robot))
     if pushes:
-        return _pushes(made, output, plant, when, exact, jobs)
+        return _pushes(made, output, plant, when, tolerance, jobs)
     extra = [(t, (x, y, z)) for t, x, y, z in push]
     scenarios = []
     for name in ("1", "2") if test == "both" else (test,):
@@ -156,7 +165,7 @@ def _tests(config: Config, output: Report, plant: str, scenarios: Sequence[Scena
     return 0 if all(report["ok"] for report in reports) else 1
 
 
-def _pushes(config: Config, output: Report, plant: str, when: float, exact: float, jobs: int) -> int:
+def _pushes(config: Config, output: Report, plant: str, when: float, tolerance: float, jobs: int) -> int:
     """Find the largest push survived in every direction and write the results; return the exit code."""
     from dqwalk_ros.cli.results import write_report
     from dqwalk_ros.report.figures.studies import pushes_figure
@@ -168,7 +177,7 @@ def _pushes(config: Config, output: Report, plant: str, when: float, exact: floa
     plants = ("physics", "rigid") if plant == "both" else (plant,)
     many = Many(out=output.out, force=output.force, quiet=output.quiet, jobs=jobs, scheduler=None)
     with many.options("directions") as options:
-        found = torso_pushes.limits(config, output.folder, plants, when=when, exact=exact, **options)
+        found = torso_pushes.limits(config, output.folder, plants, when=when, tolerance=tolerance, **options)
     by_plant = {plant: [one for one in found if one.moment == plant] for plant in plants}
     swing = Stepping.of(config).swing(when)
     stands = "on both feet" if swing is None else f"on the {swing.foot.other.value} foot"

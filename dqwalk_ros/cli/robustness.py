@@ -47,11 +47,11 @@ examples:
 @config_option("poppy")
 @plant_option(PHYSICS, "physics")
 @click.option("--steps", metavar="N", type=int, default=10, help="Steps of each walk.")
-@click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary a parameter over these values.")
+@click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary a parameter over these values; may be repeated.")
 @click.option(
     "--sample", metavar="N", type=click.IntRange(0), default=0, show_default="all", help="Walk N random combinations."
 )
-@click.option("--seed", type=int, default=0, help="Seed of --sample.")
+@click.option("--seed", metavar="N", type=int, default=0, help="Seed of --sample.")
 @many_options("robustness")
 @params_option
 @set_option

@@ -36,7 +36,7 @@ examples:
   dqwalk servos adopted/dynamic.yaml --set gait.step_length=0.08
 """)
 @click.argument("robot", metavar="ROBOT", default="poppy_dynamic")
-@click.option("--type", "names", metavar="TYPE", multiple=True, help="Only this type; may be given several times.")
+@click.option("--type", "names", metavar="TYPE", multiple=True, help="Only this type; may be repeated.")
 @quiet_option
 @set_option
 def servos(robot: str, names: tuple[str, ...], quiet: bool, changes: tuple[str, ...]) -> int:

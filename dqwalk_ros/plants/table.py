@@ -46,7 +46,6 @@ _DRAKE = "dqwalk_ros.plants.drake:DrakePlant"
 
 PLANTS = {
     "integrator": Entry("ideal joints", "integrator", _IDEAL, "integrator"),
-    "kinematic": Entry("the same as integrator", "integrator", _IDEAL, "integrator"),
     "physics": Entry("MuJoCo", "physics", _MUJOCO, "physics", physics=True),
     "poppy_as_built": Entry(
         "MuJoCo with Poppy's servos, delays and sensors", "physics", _MUJOCO, "poppy_as_built", physics=True

@@ -24,10 +24,10 @@ _AFTER = 4.0
 """Time for which the robot must stand after the push [s]."""
 
 
-def limit(config: Config, when: float, exact: float, index: int, point: Mapping[str, Any]) -> Limit:
+def limit(config: Config, when: float, tolerance: float, index: int, point: Mapping[str, Any]) -> Limit:
     """Find the largest impulse that is survived at the time `when` [s] in the direction of `point`.
 
-    The accuracy is `exact` [N s]; the moment of `point` is the name of the plant; the index is not used.
+    The accuracy is `tolerance` [N s]; the moment of `point` is the name of the plant; the index is not used.
     """
     x, y = math.cos(point["direction"]), math.sin(point["direction"])
 
@@ -35,12 +35,12 @@ def limit(config: Config, when: float, exact: float, index: int, point: Mapping[
         push = (when, (impulse * x, impulse * y, 0.0))
         return walk(config, Scenario(f"{impulse:g} N s", when + _AFTER, (), (push,)), point["moment"]).note
 
-    return Limit(**point, **largest(fails, _FIRST, _MOST, exact)._asdict())
+    return Limit(**point, **largest(fails, _FIRST, _MOST, tolerance)._asdict())
 
 
 def limits(
-    config: Config, out: Path, plants: Sequence[str], *, when: float, exact: float, **options: Any
+    config: Config, out: Path, plants: Sequence[str], *, when: float, tolerance: float, **options: Any
 ) -> list[Limit]:
     """Find the limit in each of `DIRECTIONS` on each plant; see `studies.pushes.every_limit`."""
-    task = functools.partial(limit, config, when, exact)
-    return every_limit(task, (config, when, exact), out, plants, len(DIRECTIONS), **options)
+    task = functools.partial(limit, config, when, tolerance)
+    return every_limit(task, (config, when, tolerance), out, plants, len(DIRECTIONS), **options)

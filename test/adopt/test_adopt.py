@@ -213,7 +213,7 @@ def test_config_check_loads_the_robot(small: Adoption, capsys: pytest.CaptureFix
 def test_a_small_robot_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["adopt", str(SMALLER), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
     out = capsys.readouterr().out
-    for walk in ("kinematic", "physics", "dynamic walk"):  # whole, as far as planned, without a violation
+    for walk in ("integrator", "physics", "dynamic walk"):  # whole, as far as planned, without a violation
         assert re.search(rf"{walk}: walked 0\.\d+ m\n", out)
     assert out.endswith("\nadopted: the standing and the dynamic walk stand in physics\n")
 

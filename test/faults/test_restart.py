@@ -125,7 +125,7 @@ def test_a_robot_holds_still_at_once_unless_it_would_fall() -> None:
         model = load_model(config.robot)
         controller = make_controller(config, model)
         assert controller.may_hold  # before the first state
-        plant = make_plant("kinematic", config, model)
+        plant = make_plant("integrator", config, model)
         controller.step(plant.state, config.dt)
         assert controller.may_hold is holds
         controller._active = getattr(controller.walk, "steps", controller.walk)

@@ -328,7 +328,7 @@ def odometry(make: Any, urdf: str, frame: str, *, with_sensor: bool) -> tuple[li
     changes = {"odometry.base_frame": frame, "odometry.window": 0.005}
     one = make("controller", config.updated(changes))
     listener = subscribed(one, "/odom", OdometryMessage)
-    plant = make_plant("physics" if with_sensor else "kinematic", config, one.node._model)
+    plant = make_plant("physics" if with_sensor else "integrator", config, one.node._model)
     try:
         for k in range(200):
             one.exchange(plant, one.node._model, 1.0 + k * config.dt)
@@ -381,7 +381,7 @@ def test_odometry_has_pose_velocity_and_covariance(make: Any) -> None:
     one = make("controller", load("poppy"))
     model = one.node._model
     listener = subscribed(one, "/odom", OdometryMessage)
-    plant = make_plant("kinematic", one.node.config, model)
+    plant = make_plant("integrator", one.node.config, model)
     try:
         for k in range(700):  # through the first step
             one.exchange(plant, model, 1.0 + k * one.node.config.dt)
@@ -404,7 +404,7 @@ def test_odometry_does_not_jump_when_a_walk_restarts(make: Any) -> None:
     one = make("controller", load("poppy").updated(quick))
     model, dt = one.node._model, one.node.config.dt
     listener = subscribed(one, "/odom", OdometryMessage)
-    plant = make_plant("kinematic", one.node.config, model)
+    plant = make_plant("integrator", one.node.config, model)
     try:
         for k in range(250):
             if k == 190:  # after the first step

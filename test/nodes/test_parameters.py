@@ -36,7 +36,7 @@ def test_a_configuration_stores_the_time_from_which_it_applies() -> None:
 
 
 def test_tuned_parameters_apply_from_the_next_phase_and_are_recorded(tmp_path: Path) -> None:
-    controller, plant = make_controller(CONFIG, MODEL), make_plant("kinematic", CONFIG, MODEL)
+    controller, plant = make_controller(CONFIG, MODEL), make_plant("integrator", CONFIG, MODEL)
 
     def tune(time: float) -> None:
         if 0.1 <= time < 0.1 + CONFIG.dt:
@@ -70,7 +70,7 @@ def test_param_set_is_logged_published_and_used_from_the_next_phase(make: Any) -
     from dqwalk_ros.nodes import messages as ros
 
     one, monitor = make("controller", CONFIG), make("phase_monitor", CONFIG)
-    controller, plant = one.node._controller, make_plant("kinematic", CONFIG, MODEL)
+    controller, plant = one.node._controller, make_plant("integrator", CONFIG, MODEL)
 
     def put(name: str, value: float) -> Any:
         return one.node.set_parameters([Parameter(name, value=value)])[0]

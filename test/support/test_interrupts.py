@@ -80,4 +80,4 @@ def test_an_interrupt_within_a_compiled_function_is_a_keyboard_interrupt(error, 
 
 def test_no_trial_begins_after_an_interrupt():
     with pytest.raises(KeyboardInterrupt):
-        trial.walk(PAPER, legs(), "kinematic", lambda *_: signal.raise_signal(signal.SIGINT))
+        trial.walk(PAPER, legs(), "integrator", lambda *_: signal.raise_signal(signal.SIGINT))

@@ -27,8 +27,8 @@ from dqwalk_ros.walks.table import make_controller
 def walks() -> None:
     """The first ticks of every kind of walk, with both solvers, on its usual plant."""
     short = {"task.eta": 1.0, "dsp.eta_ground": 20.0, "ssp.threshold": 0.02, "dsp.stall_rate": 3e-3, "dt": 0.04}
-    physics = "physics" if find_spec("mujoco") else "kinematic"
-    for name, plant, time in (("paper", "kinematic", 6.0), ("poppy", physics, 2.0), ("poppy_dynamic", physics, 1.5)):
+    physics = "physics" if find_spec("mujoco") else "integrator"
+    for name, plant, time in (("paper", "integrator", 6.0), ("poppy", physics, 2.0), ("poppy_dynamic", physics, 1.5)):
         for solver in ("clarabel", "daqp"):
             config = load(name).updated({**(short if name == "paper" else {}), "qp.solver": solver})
             config = overlaid(config, plant) if plant == "physics" else config

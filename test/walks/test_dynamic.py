@@ -604,7 +604,7 @@ def test_the_trunk_keeps_its_posture_over_many_steps() -> None:
     """At 0.30 m/s; a trunk that moves the CoM is at the limit of its pitch in every step."""
     config = CONFIG.updated({"gait.steps": 12, "gait.step_length": 0.126, "gait.most_length": 0.126})
     config = config.updated({"dynamic.quicken": 0.08})
-    trace = simulate(make_controller(config, MODEL), make_plant("kinematic", config, MODEL))
+    trace = simulate(make_controller(config, MODEL), make_plant("integrator", config, MODEL))
     assert trace.finished, trace.notes
     bent = {
         name: np.degrees(trace.q[:, MODEL.joint_names.index(name)]) for name in ("abs_y", "bust_y", "abs_z", "bust_x")

@@ -134,7 +134,7 @@ def test_only_stairs_keep_a_sole_above_the_other_one() -> None:
 @pytest.mark.parametrize("up", [0.025, -0.025])
 def test_a_walk_over_a_stair_moves_soles_and_com_by_its_height(up: float) -> None:
     config = DYNAMIC.updated({"gait.footsteps": (f"0.1 0 0 {up}", "0 0 0 0")})
-    controller, plant = make_controller(config, MODEL), make_plant("kinematic", config, MODEL)
+    controller, plant = make_controller(config, MODEL), make_plant("integrator", config, MODEL)
     trace = simulate(controller, plant)
     assert trace.finished, trace.notes
     last = controller.soles()
@@ -149,7 +149,7 @@ class KinematicRobot:
 
     def __init__(self, make: Any) -> None:
         self.node = make("controller", CONFIG)
-        self.plant = make_plant("kinematic", CONFIG, MODEL)
+        self.plant = make_plant("integrator", CONFIG, MODEL)
         self.ticks = 0
 
     def until(self, wanted: str, max_ticks: int = 4000) -> list[str]:

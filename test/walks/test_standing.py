@@ -257,7 +257,7 @@ def assert_balanced(trace) -> None:
 
 @pytest.mark.parametrize("first", ["left", "right"])
 def test_one_step_stays_balanced_over_its_true_soles(first: str) -> None:
-    trace, _ = walked("kinematic", gait__steps=1, gait__first_support=first)
+    trace, _ = walked("integrator", gait__steps=1, gait__first_support=first)
     assert_balanced(trace)
     assert [record.name.split("/")[0] for record in trace.phases] == [
         "double_support", "single_support", "double_support", "single_support", "stance",
@@ -275,7 +275,7 @@ def test_one_step_stays_balanced_over_its_true_soles(first: str) -> None:
     ids=["20 ahead", "10 back", "a full turn"],
 )
 def test_long_walks_stay_balanced(values: dict[str, object], ahead: float, turned: float) -> None:
-    trace, _ = walked("kinematic", **values)
+    trace, _ = walked("integrator", **values)
     assert_balanced(trace)
     walk = reporting.report(reporting.analyse(trace))["walk"]
     assert walk["forward"] == pytest.approx(ahead, abs=5e-3)
@@ -283,12 +283,12 @@ def test_long_walks_stay_balanced(values: dict[str, object], ahead: float, turne
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("plant", ["kinematic", "physics"])
+@pytest.mark.parametrize("plant", ["integrator", "physics"])
 def test_a_robot_with_ankle_roll_steps_sideways(plant: str) -> None:
     config = BIPED12.updated({"gait.steps": 10, "gait.step_length": 0.0, "gait.step_side": 0.03})
     model = dq.load_model(config.robot)
     trace = simulate(make_controller(config, model), make_plant(plant, config, model))
-    if plant == "kinematic":
+    if plant == "integrator":
         assert_balanced(trace)
     report = reporting.report(reporting.analyse(trace))
     assert trace.finished, trace.notes
@@ -324,7 +324,7 @@ def test_one_step_in_physics_stays_balanced() -> None:
 def test_on_one_foot_the_com_is_moved_towards_the_other_foot(first: str) -> None:
     places = []
     for aim in (0.0, CONFIG.standing.aim_inside):
-        trace, _ = walked("kinematic", gait__steps=1, gait__first_support=first, standing__aim_inside=aim)
+        trace, _ = walked("integrator", gait__steps=1, gait__first_support=first, standing__aim_inside=aim)
         part = next(part for part in segments(trace) if part.phase.swing_target is not None)
         places.append(part.last.com_on_ground[1])
     inside = -0.005 if first == "left" else 0.005
@@ -388,7 +388,7 @@ def test_an_interrupted_transfer_starts_again_from_rest() -> None:
 
 
 def test_an_unknown_plant_is_an_error() -> None:
-    with pytest.raises(PlantError, match="no plant is called 'fysics': integrator, kinematic, physics"):
+    with pytest.raises(PlantError, match="no plant is called 'fysics': integrator, physics"):
         make_plant("fysics", CONFIG, MODEL)
 
 

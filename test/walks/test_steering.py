@@ -78,7 +78,7 @@ def test_cmd_vel_within_the_reach_of_the_legs_is_not_changed() -> None:
 
 
 def test_a_steered_walk_waits_walks_and_stops_with_the_feet_together() -> None:
-    controller, plant = make_controller(CONFIG, MODEL), make_plant("kinematic", CONFIG, MODEL)
+    controller, plant = make_controller(CONFIG, MODEL), make_plant("integrator", CONFIG, MODEL)
     names: list[str] = []
     poses: list[np.ndarray] = []
 

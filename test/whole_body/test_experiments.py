@@ -250,7 +250,7 @@ def test_the_largest_push_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.long
 def test_the_command_reach_with_pushes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["reach", "--pushes", "--exact", "8", "--when", "1.7", "--out", str(tmp_path)]) == 0
+    assert cli.main(["reach", "--pushes", "--tolerance", "8", "--when", "1.7", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "the left foot stands" in said
     report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["rigid"]
