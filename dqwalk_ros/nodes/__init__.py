@@ -9,10 +9,11 @@
 `messages`                 conversion between messages and the core's values
 `safety`                   which commands are accepted; imports no ROS
 `state_gate`               which states are accepted; imports no ROS
-`inertial_sensor`          which inertial measurements are; imports no ROS
+`inertial_sensor`          measurements of the inertial sensor, joined with the states
+`foot_forces`              measurements of force sensors in the feet
 `fall_watch`, `fall_cause` whether the robot has fallen, and why
 `answering`                base class of both controllers: state checks, stopping the robot
-`inputs`                   inertial sensor, joint commands and cmd_vel, checked on arrival
+`inputs`                   joint commands and cmd_vel, checked on arrival
 `footsteps`                commanded footsteps (nav_msgs/Path)
 `arms`                     commands to the arms: trajectories of joints, poses of hands
 `phases`                   publishes the phases of a walk; rebuilds them from the topics

@@ -33,7 +33,7 @@ _AT_LIMIT, _BRIEFLY = 0.98, 0.02
 _DELAYS, _SPAN, _ALIKE = 0.3, 0.1, 0.8
 """Longest delay considered [s], duration of the compared joint motions [s], and least correlation."""
 _DELAY_PART = 0.5
-"""Fraction of `stability.longest_delay` that a robot with legs and servos tolerates."""
+"""Fraction of `standing_limits.longest_delay` that a robot with legs and servos tolerates."""
 
 
 def causes(series: Series) -> list[Finding]:

@@ -131,7 +131,6 @@ OWN = """
 
 
 def test_what_the_file_of_the_plant_replaces_is_said_once(tmp_path, capsys):
-    """The values of a configuration were replaced without a word, and others were used than the documentation says."""
     own, kept = tmp_path / "own.yaml", tmp_path / "kept.yaml"
     own.write_text(OWN)
     made = config_of(str(own), plant="poppy_as_built")
@@ -199,8 +198,6 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["simulate", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
         (["walk", "--config", "poppy", "--set", "gait.steps=4", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
         (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
-        (["config", "paper", "--set", "ssp.com_radius=wide"], "must be a number"),
-        (["config", "paper", "--set", "ssp.com_radius=7"], "must be a number in [0.0001, 1], got 7"),
         (["config", "paper", "--set", "ssp.com_radius"], "KEY=VALUE"),
         (["config", "poppy", "--check", "--set", "collision.pairs=[shin=r_shin]"], "no link 'shin'"),
         (["config", "poppy", "--check", "--set", "gait.walk=nowhere:Walk"], "No module named 'nowhere'"),
@@ -209,15 +206,10 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["config", "poppy", "--check", "--set", "standing.posture=[l_knee_y=nan]"], "must be JOINT=RADIANS"),
         (["doctor", "--offline", "--plant", "ros2_control", "--set", "servo.types=['*=NOPE']"], "names 'NOPE'"),
         (["config", "--set", "nothing=1"], "unknown parameter"),
-        (["config", "paper", "--set", "gait.cycles=2024-10-05"], "must be a whole number"),
         (["config", "paper", "--set", f"gait.cycles={'9' * 6000}"], "--set gait.cycles: not YAML"),
-        (["config", "paper", "--set", f"gait.cycles={'[' * 100}"], "not YAML: nested too deeply"),
-        (["config", "paper", "--set", "gait.cycles=[&a [1, 1], *a]"], "anchors and aliases are not allowed"),
         (["simulate", "--cycles", "0"], "gait.cycles"),
         (["simulate", "--set", "robot.urdf=nowhere.urdf"], "nowhere.urdf"),
         (["simulate", "--set", "robot.right_sole=l_sole"], "no joint moves the soles"),
-        (["simulate", "--set", "robot.lock=['*']"], "no joint moves the soles"),
-        (["simulate", "--set", "gait.walk=nowhere:Walk"], "No module named 'nowhere'"),
         (["simulate", "--set", "gait.walk=dqwalk_ros.paper.walk"], "'dqwalk_ros.paper.walk'; it must be MODULE:CLASS"),
         (["reach", "--config", "paper"], "'paper' is not a configuration of the whole-body controller"),
         (["study", str(ROOT / "config/paper.yaml")], "paper.yaml: this is a configuration, not a study"),

@@ -135,9 +135,10 @@ def test_missing_and_unreadable_files(tmp_path):
         load(tmp_path / "binary.yaml")
 
 
-@pytest.mark.parametrize("spec", [s for s in Config.specs() if s.low is not None], ids=lambda s: s.name)
-def test_bounds_are_inclusive(spec):
-    """Both bounds are allowed, values beyond them are rejected."""
+@pytest.mark.parametrize("name", ["task.eta", "gait.cycles"])
+def test_bounds_are_inclusive(name):
+    """Both bounds are allowed, values beyond them are rejected: of a real and of a whole number."""
+    (spec,) = (spec for spec in Config.specs() if spec.name == name)
     for end, step in ((spec.low, -1), (spec.high, 1)):
         value = int(end) if spec.type is int else end
         assert Config().updated({spec.name: value}).flat()[spec.name] == value

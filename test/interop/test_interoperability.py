@@ -304,7 +304,6 @@ def test_frames_are_one_tree_with_those_of_the_urdf(make: Any, tf: Any, tmp_path
 def test_the_help_lists_every_section_that_the_controller_reads(
     make: Any, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    """Sections servo, odometry, dynamic and estimation were missing."""
     read: set[str] = set()
 
     def get(self: Config, section: str) -> Any:
@@ -458,7 +457,7 @@ def test_the_integrator_follows_the_ros_clock(make: Any) -> None:
 
 
 def test_diagnostics_contain_the_namespace_and_the_robot(make: Any) -> None:
-    """Without the namespace, those of two robots were merged."""
+    """So that those of two robots are not merged."""
     one = make("controller", PAPER, ros=("-r", "__ns:=/left"))
     one.tick()
     (status,) = one.got["diagnostics"][-1].status
@@ -594,7 +593,7 @@ def test_states_that_arrive_before_the_walk_is_known_are_judged(make: Any, locks
 
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_monitor_and_viewer_ignore_the_states_of_a_gripper(make: Any, lockstep: bool) -> None:
-    """In lockstep its stamps are those of another clock; before, each of them was taken for a restart of the plant."""
+    """In lockstep its stamps, of another clock, are no restart of the plant."""
     config = PAPER.updated({"plant.lockstep": lockstep})
     walk, monitor = make("controller", config), make("phase_monitor", config)
     viewer = make("viewer", config, "--port", "0")

@@ -328,7 +328,7 @@ def test_commands_move_the_robot_whatever_their_stamps(make: Any, monkeypatch: p
 
 
 def test_the_defaults_of_the_driver_are_those_of_its_plant(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a parameter file it had the period of a simulation, and wrote the highest gain to the servos."""
+    """Those of a simulation have another period, and the highest gain of the servos."""
     one, _ = driver_node(make, monkeypatch, "/**: {ros__parameters: {poppy.start_speed: 0.1}}")
     assert one.node.config == overlaid(Config(), "poppy").updated({"poppy.start_speed": 0.1})
 

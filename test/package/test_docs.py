@@ -143,7 +143,7 @@ def test_node_pages_match_the_schema(node):
 
 @pytest.mark.parametrize("node", sorted(NODES))
 def test_every_section_that_a_node_lists_has_parameters(node):
-    """The driver's help listed 'standing (posture)', and so lacked that parameter."""
+    """A name with an addition, such as 'standing (posture)', would list no parameter."""
     names = [spec.name for spec in parameters_of(node)]
     assert sections_of(node)
     for word in sections_of(node):
@@ -207,16 +207,8 @@ def test_the_first_page_of_the_website_links_to_every_node():
     assert add("# Title\n", other) == "# Title\n"
 
 
-def test_what_both_walks_have_is_not_said_of_one():
-    """The dynamic walk has cmd_vel and ~/stop, too."""
-    texts = [(ROOT / "docs/interfaces.md").read_text(), *map(docstring, NODES)]
-    lines = [line for text in texts for line in text.splitlines() if re.search(r"cmd_vel|~/stop", line)]
-    assert len(lines) > 10
-    assert not [line for line in lines if re.search(r"standing walk", line)]
-
-
 def test_the_lines_that_replace_the_plant_start_nodes_of_one_period():
-    """Without the file of the driver's plant it ended with an error, because its period is longer."""
+    """The driver refuses the period of a simulation."""
     text = (ROOT / "docs/interfaces.md").read_text().partition("## Another plant")[2].partition("\n## ")[0]
     lines = [line.split() for line in re.findall(r"^ros2 run dqwalk_ros .*$", text, re.M)]
     assert [words[3] for words in lines] == ["controller", "phase_monitor", "integrator", "poppy_driver"]

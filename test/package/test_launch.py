@@ -190,7 +190,7 @@ def test_a_real_robot_uses_the_balanced_walk_and_waits_for_start(start: Start, p
 
 
 def test_each_argument_reaches_the_nodes(start: Start) -> None:
-    """`ros2 launch` ignores arguments that are not declared: poppy.dummy:=true had no effect."""
+    """`ros2 launch` ignores arguments that are not declared."""
     nodes, _ = start(
         plant="poppy", namespace="left", use_sim_time="true", log_level="debug", respawn="true", dummy="true", bag="b"
     )

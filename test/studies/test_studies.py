@@ -206,7 +206,7 @@ def square(index: int, point: dict[str, float]) -> Number:
 
 
 def test_workers_ignore_ctrl_c_and_end_with_their_study(tmp_path):
-    """They walked on after SIGTERM, which ends the study at once."""
+    """Also after SIGTERM, which ends the study at once."""
     files = [tmp_path / "one", tmp_path / "two"]
     points = [{"file": str(file)} for file in files]
     program = (

@@ -307,7 +307,7 @@ def test_a_robot_that_is_held_does_not_wait_for_ever() -> None:
 
 
 def test_a_push_towards_the_swing_foot_is_caught_on_the_spot() -> None:
-    """The foot lands early and throws the robot back; without a longer double support it fell."""
+    """The foot lands early and throws the robot back; a longer double support catches it."""
     config = overlaid(CONFIG, "physics").updated({"gait.step_length": 0.0, "gait.steps": 4})
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
 
@@ -473,7 +473,7 @@ def test_the_ground_stays_as_it_is_when_the_base_changes_to_a_turned_foot() -> N
 
 
 def test_a_push_that_tips_the_sole_outwards_is_caught_on_the_spot() -> None:
-    """A swing foot that landed in the plane of the tipped sole bore no weight, and the robot fell."""
+    """A swing foot that lands in the plane of the tipped sole carries no weight."""
     config = overlaid(CONFIG, "physics").updated({"gait.step_length": 0.0, "qp.solver": "daqp"})
     assert not pushed(config, Push("left", 0.5 * math.pi, 0.4))
 
@@ -504,7 +504,7 @@ def test_pushes_of_every_direction_at_every_part_of_a_step(
 
 @pytest.mark.parametrize("name", ["poppy", "poppy_dynamic"])
 def test_no_file_is_parsed_during_a_walk(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The URDF, for the pendulum, took 60 ms as the first single support began; walks in real time stopped."""
+    """To parse a URDF takes 60 ms, too long for a walk in real time."""
     config = overlaid(dq.load(name), "physics")
     controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
 
@@ -750,7 +750,7 @@ def test_three_stairs_are_walked_by_footsteps(overlays: list[str], up: float) ->
 
 @pytest.mark.long
 def test_yielding_legs_walk_on_rubble_of_5_mm() -> None:
-    """With a window of 0.15 rad, so legs as stiff as their servos, two of these four walks fell."""
+    """With a window of 0.15 rad, so legs as stiff as their servos, two of these four walks fall."""
     walked = [robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}) for seed in (6, 7, 8, 9)]
     assert sum(one.stood and one.steps >= 17 for one in walked) >= 3, walked
 

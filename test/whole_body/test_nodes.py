@@ -213,7 +213,7 @@ def test_when_states_time_out_zero_torques_are_sent_once_and_the_status_is_stale
 
 
 def test_states_whose_stamps_do_not_advance_are_rejected_with_the_reason(make: Any) -> None:
-    """As of a driver that leaves header.stamp at zero; they were ignored without a message."""
+    """As of a driver that leaves header.stamp at zero."""
     node = make("whole_body_controller", REAL)
     send_state(node, 0.0, START)
     node.node._diagnosed = -math.inf

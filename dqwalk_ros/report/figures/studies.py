@@ -117,7 +117,7 @@ _WORD = {
     "physics.friction": ("friction", "{:g}", 1.0, 0.0),
     "physics.mass_scale": ("mass", "{:+.0f} %", 100.0, -100.0),
     "servo.stiffness": ("stiffness", "{:g} N m/rad", 1.0, 0.0),
-    "servo.backlash": ("play", "{:.2f}°", 57.29578, 0.0),
+    "servo.backlash": ("play", "{:.2f}°", math.degrees(1.0), 0.0),
     "servo.rate": ("output", "{:g} Hz", 1.0, 0.0),
     "servo.latency": ("latency", "{:.0f} ms", 1e3, 0.0),
 }
