@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import socket
 import time
@@ -15,8 +16,11 @@ import pytest
 import trimesh
 import viser
 import yourdfpy
+from msgspec import msgpack
 from recorded import short_walk
 from robots import DATA
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from dqwalk_ros.adopt import adopt
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -25,7 +29,8 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.report.html.replay import shape_data
 from dqwalk_ros.report.scene import Moments, Scene, beginning, shapes_of
-from dqwalk_ros.report.viewer.page import HOST, Page
+from dqwalk_ros.report.viewer.guard import HOST
+from dqwalk_ros.report.viewer.page import Page
 from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
 from dqwalk_ros.report.viewer.player import Player
 from dqwalk_ros.robot.model import load_model
@@ -248,6 +253,32 @@ def test_requests_of_foreign_pages_are_rejected(page, host, origin, allowed):
         connection.sendall("\r\n".join([*lines, "", ""]).encode())
         status = connection.recv(64).decode().split()[1]
     assert status == ("101" if allowed else "403")
+
+
+def test_messages_that_no_control_sends_have_no_effect(page, player, monkeypatch, capfd):
+    """None publishes the page on the internet, changes more of a control than its value, or fills the log."""
+    shared = []
+    monkeypatch.setattr(page.server, "request_share_url", lambda *_: shared.append(1))
+    control, speed = player._speed, player._speed._impl
+
+    def update(**values):
+        return {"type": "GuiUpdateMessage", "uuid": speed.uuid, "updates": values}
+
+    camera = {"type": "ViewerCameraMessage", "wxyz": "abc"}
+    foreign = [{"type": "ShareUrlRequest"}, update(sync_cb=3), update(value=None), {"type": "Unknown"}, [1], update()]
+    url = page.url.replace("http", "ws")
+    for message in (*map(msgpack.encode, foreign), b"\xc1", "text", b"\x91" * 60_000, b"a" * 10**6, camera):
+        with connect(url, subprotocols=["viser-v" + viser.__version__], compression=None) as browser:
+            browser.send(msgpack.encode(message) if isinstance(message, dict) else message)
+            with contextlib.suppress(ConnectionClosed):  # by the last two
+                browser.send(msgpack.encode(update(value="5" if control.value != "5" else "2")))
+                before, end = control.value, time.monotonic() + 20.0
+                while control.value == before and time.monotonic() < end and not browser.protocol.close_rcvd:
+                    time.sleep(0.005)
+    assert control.value in ("2", "5")
+    assert not shared
+    assert callable(speed.sync_cb)
+    assert capfd.readouterr().err.count("\n") <= 2
 
 
 def clicks(page, offer):

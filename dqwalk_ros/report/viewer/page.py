@@ -3,32 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import http
 import io
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from html import escape
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 import viser
-import websockets.asyncio.server
 
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Moment, NamedRegion, Scene, View, tightest
+from dqwalk_ros.report.viewer.guard import HOST, guarded
 from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ViewerError
 from dqwalk_ros.walks.table import walk_type
 
-__all__ = ["HOST", "Page"]
+__all__ = ["Page"]
 
 
-HOST = "127.0.0.1"
-"""The page is served to this machine only, because it has no password."""
 PORT = 8080
 """Default port; if it is in use, the next free one."""
 FRAME = 1.0 / 30.0
@@ -73,7 +69,7 @@ class Page:
         if port is not None and not 0 <= port <= 65535:
             raise ViewerError(f"there is no port {port}; ports are 0 to 65535, 0 for any")
         wanted = PORT if port is None else port
-        with contextlib.redirect_stdout(io.StringIO()), _local_only():  # viser prints a banner
+        with contextlib.redirect_stdout(io.StringIO()), guarded():  # viser prints a banner
             self.server = viser.ViserServer(host=HOST, port=wanted, label="dqwalk", verbose=False)
         if port and self.server.get_port() != port:  # viser takes the next free one
             self.close()
@@ -254,35 +250,6 @@ class Page:
 def _message(text: str) -> str:
     style = "font:14px system-ui,sans-serif;color:#57606a;padding:10px"
     return f'<div data-dqwalk="status" style="{style}">{escape(text)} …</div>'
-
-
-_LOCAL = {HOST, "localhost", "::1"}
-
-
-@contextlib.contextmanager
-def _local_only() -> Iterator[None]:
-    """Make a server that is started in this context accept only requests with this machine's own names.
-
-    viser has no setting for this. Otherwise a page on the internet whose name resolves to this machine (DNS
-    rebinding), or that opens a websocket to it, could watch the walk and use the controls.
-    """
-    serve = websockets.asyncio.server.serve
-
-    def guarded(*args: Any, process_request: Any = None, **options: Any) -> Any:
-        def check(connection: Any, request: Any) -> Any:
-            headers = [*request.headers.get_all("Host"), *request.headers.get_all("Origin")]
-            names = {urlsplit(text if "//" in text else f"//{text}").hostname for text in headers}
-            if not names or not names <= _LOCAL:
-                return connection.respond(http.HTTPStatus.FORBIDDEN, "this page is for this machine only\n")
-            return process_request(connection, request) if process_request is not None else None
-
-        return serve(*args, process_request=check, **options)
-
-    websockets.asyncio.server.serve = guarded  # type: ignore[assignment,misc]
-    try:
-        yield
-    finally:
-        websockets.asyncio.server.serve = serve  # type: ignore[misc]
 
 
 # ---------------------------------------------------------------------- the drawing
