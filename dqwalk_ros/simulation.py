@@ -173,6 +173,8 @@ def simulate(
                     )
         if plant.fallen:
             recorder.note(f"the robot fell in {controller.phase.name} at {state.time:.2f} s")
+        elif plant.fault:
+            recorder.note(f"no command had an effect at the end: {plant.fault}")
     except DqwalkError as error:
         if controller.phase_index < 0:  # there is nothing to record
             raise

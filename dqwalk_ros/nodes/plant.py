@@ -294,6 +294,10 @@ class Physics(SimulatedPlant):
                 streams[f"{foot.value}_foot_wrench"].publish(wrench)
             if (cop := truth.cop) is not None:
                 streams["center_of_pressure"].publish(ros.point(stamp, WORLD, cop))
+        if not self.lockstep:
+            self.commands.forbid(self.plant.fault)
+        elif self.plant.fault:
+            self.get_logger().error(f"no command has an effect: {self.plant.fault}", once=True)
         if self.plant.fallen and not self.trouble:
             self.trouble = f"the robot fell at {self.ticks * self.dt:.2f} s; ~/reset puts it back on its feet"
             self.get_logger().error(self.trouble)

@@ -77,6 +77,11 @@ class Plant(ABC):
         """Whether the robot lies on the ground."""
         return False
 
+    @property
+    def fault(self) -> str:
+        """Why no command has an effect any more; empty if commands have."""
+        return ""
+
 
 @dataclass(slots=True, eq=False)
 class Inertial:

@@ -139,6 +139,11 @@ class EnginePlant(Plant):
         return self._law.wanted
 
     @property
+    def fault(self) -> str:
+        """Why no command has an effect any more; empty if commands have."""
+        return self._law.fault
+
+    @property
     def truth(self) -> Truth:
         """Ground truth; forces are those of one step of the engine, torques the mean of the last period."""
         model = self.model

@@ -17,6 +17,7 @@ from geometry_msgs.msg import PoseStamped
 from inside import state
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.nodes import messages as ros
@@ -216,6 +217,21 @@ def test_a_reset_of_the_simulated_robot_ends_the_walk(make: Any) -> None:
     assert node.got["phase"][-1].data == "failed"
     assert not u.any()
     assert not plant.fallen
+
+
+def test_physics_says_why_commands_have_no_effect(make: Any) -> None:
+    one = make("physics", overlaid(load("poppy"), "physics"))
+    node = one.node
+    one.send("joint_velocity_commands", state(node.model.joint_names, [], 0.0, velocity=np.zeros(node.model.n)))
+    node._on_period()
+    node.plant._law.gate.fault = "l_knee_y has jumped to another angle"
+    node._on_period()
+    node._on_period()
+    assert not one.got["plant_ready"][-1].data
+    assert "holding still: l_knee_y has jumped to another angle" in one.log
+    assert one.call("reset", Trigger.Request()).success
+    node._on_period()
+    assert one.got["plant_ready"][-1].data
 
 
 def test_a_diverged_simulation_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
