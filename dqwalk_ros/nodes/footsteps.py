@@ -65,7 +65,7 @@ class FootstepInput:
 
     def _steps(self, msg: Path) -> tuple[Foot, list[Array]]:
         """Return the first support foot and the poses (8,) of the footprints, each relative to the one before."""
-        controller, model = self._controller, self._controller.model
+        controller, feet = self._controller, self._controller.model.foot_of
         if controller.phase_index < 0 or controller.phase.kind is not PhaseKind.STANCE:
             raise StateError("the robot is not in a stance; an empty path cancels the current footsteps")
         if len(msg.poses) > _MAX_STEPS:
@@ -76,16 +76,15 @@ class FootstepInput:
             if (frame := one.header.frame_id) not in ("", msg.header.frame_id):
                 raise StateError(f"footstep {k} is in the frame '{frame}', the path in '{msg.header.frame_id}'")
             wanted.append(ros.checked_pose(one, f"footstep {k}"))
-        frames = {model.soles[foot].frame: foot for foot in Foot}
-        if (given := msg.header.frame_id) in frames:
-            support = frames[given]
+        if (given := msg.header.frame_id) in feet:
+            support = feet[given]
             before = DQ(1.0)
         elif given in ("", self._node.config.odometry.odom_frame):
             here = {foot: origin * DQ(soles[foot]) for foot in Foot}
             support = min(Foot, key=lambda foot: self._side_error(foot, here[foot].conj() * wanted[0]))
             before = here[support]
         else:
-            raise StateError(f"the path is in the frame '{given}'; it must be odom, or a sole: {', '.join(frames)}")
+            raise StateError(f"the path is in the frame '{given}'; it must be odom, or a sole: {', '.join(feet)}")
         steps = []
         for x in wanted:
             steps.append((before.conj() * x).vec8())

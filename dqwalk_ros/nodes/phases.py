@@ -16,7 +16,6 @@ from dqwalk_ros.config import Config, applies_from, from_yaml, to_yaml
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
-from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.walk import com_target
@@ -239,8 +238,7 @@ class PhaseLog:
         if self.config is None or self.model is None or self.reader is None or began not in self._targets:
             return None
         start, (kind, target) = self._starts[began], self._targets[began]
-        feet = {self.model.soles[foot].frame: foot for foot in Foot}
-        base = feet.get(start.header.frame_id)
+        base = self.model.foot_of.get(start.header.frame_id)
         if base is None:
             self._logger.error(f"phase_start is in the frame '{start.header.frame_id}', not a sole of the robot")
             del self._starts[began]

@@ -230,6 +230,9 @@ class Physics(SimulatedPlant):
         center_of_pressure       geometry_msgs/PointStamped: of both feet in the world; not published in the air
         /clock                   rosgraph_msgs/Clock with plant.clock: the time of its stamps, for all nodes
         /diagnostics             diagnostic_msgs/DiagnosticArray: ERROR when the robot has fallen
+
+    Services::
+
         ~/reset                  std_srvs/Trigger: puts the robot back on its feet (real time)
 
     Sections of the schema: dt, robot, plant, physics, sensors, servo, monitor.rate, node.

@@ -31,8 +31,8 @@ class PoppyDriver(WalkNode):
 
     The driver does not move the robot by itself (unless poppy.activate is set). It publishes the angles from the start.
     ~/activate switches the torque on in the current posture, checks it, and moves the robot slowly to its first pose,
-    standing.posture; then commands are accepted. While the torque is on and no motor has a fault it does nothing. The
-    stamp of a state is the time at which its oldest angle was read; a state with an angle older than
+    standing.posture; then commands are accepted. While the torque is on and no motor has a fault, ~/activate does
+    nothing. The stamp of a state is the time at which its oldest angle was read; a state with an angle older than
     plant.command_timeout is not published. While a motor has a fault the robot holds still, and /diagnostics names the
     motor, the fault, and what to do.
 

@@ -175,6 +175,11 @@ class RobotModel:
             first.setdefault(frame.body, name)
         return tuple(first[body] for body in range(len(self.bodies)))
 
+    @functools.cached_property
+    def foot_of(self) -> dict[str, Foot]:
+        """The foot of each sole, by the name of its link."""
+        return {sole.frame: foot for foot, sole in self.soles.items()}
+
     def chain(self, body: int) -> list[int]:
         """Return the indices of the bodies from the root to `body`, both included."""
         chain = [body]

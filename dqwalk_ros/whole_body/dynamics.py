@@ -226,14 +226,8 @@ class Multibody:
 
     def _configuration(self, x_base: ArrayLike, q: Array) -> Array:
         """Return pinocchio's configuration vector, shape (nq,)."""
-        w, x, y, z, w_, x_, y_, z_ = np.asarray(x_base, dtype=np.float64).tolist()
-        full = np.empty(self._pin.nq)
-        # p = 2 D(x) P(x)*, expanded for speed: this runs in every control period
-        full[0] = 2.0 * (x_ * w - w_ * x - y_ * z + z_ * y)
-        full[1] = 2.0 * (y_ * w - w_ * y - z_ * x + x_ * z)
-        full[2] = 2.0 * (z_ * w - w_ * z - x_ * y + y_ * x)
-        full[3:7] = x, y, z, w
-        full[self._iq] = q
+        x, full = DQ(x_base), np.empty(self._pin.nq)
+        full[:3], full[3:7], full[self._iq] = x.translation(), x.rotation()[[1, 2, 3, 0]], q
         return full
 
 

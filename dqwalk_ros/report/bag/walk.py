@@ -270,8 +270,7 @@ def _starts(bag: Recording) -> dict[int, PhaseRecord]:
     begun = joint_states(columns["phase_start"], model.joint_names)
     if not names or not len(begun.stamps):
         raise BagError(f"'{path}' contains no phase of a walk")
-    feet = {model.soles[foot].frame: foot for foot in Foot}
-    if not set(begun.frames) <= set(feet) or not set(model.joint_names) <= set(begun.named):
+    if not set(begun.frames) <= set(model.foot_of) or not set(model.joint_names) <= set(begun.named):
         given = f"{ascii(begun.frames[0])[1:-1][:60]} and {listed(begun.named)}"
         raise BagError(f"'{path}' is of another robot: phase_start names {given}")
     targets = _swing_targets(columns.get("swing_target"))
@@ -283,7 +282,7 @@ def _starts(bag: Recording) -> dict[int, PhaseRecord]:
         bag.notes.append(f"unknown phase {strange}: phases are identified by their base sole and swing target")
     found: dict[int, PhaseRecord] = {}
     for i, stamp in enumerate(begun.stamps.tolist()):
-        base, q, target = feet[begun.frames[i]], begun.position[i], targets.get(stamp)
+        base, q, target = model.foot_of[begun.frames[i]], begun.position[i], targets.get(stamp)
         kind = PhaseKind.DOUBLE_SUPPORT if target is None else PhaseKind.SINGLE_SUPPORT
         support = base if kind is PhaseKind.SINGLE_SUPPORT else base.other
         name = f"{kind.value}/{support.value}"
