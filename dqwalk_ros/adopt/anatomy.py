@@ -41,6 +41,8 @@ _UNLIKE = 0.5
 """Largest difference of the limits of joints that mirror each other [rad]."""
 _STRAIGHT = 0.9
 """Least component of an axis that counts as roll, pitch or yaw."""
+_LATERAL = 0.5
+"""Least lateral component of the axis of a knee with which the leg steps forward."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
 _NARROWER = 1.0, 0.75, 0.5
@@ -338,6 +340,12 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     _check_led(skeleton, legs)
     kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
     left, right = (_leg(skeleton, joints) for joints in legs.values())
+    knees = [joints[leg.knee] for joints, leg in zip(legs.values(), (left, right), strict=True)]
+    if any(abs(skeleton.axis(knee) @ Y) < _LATERAL for knee in knees):
+        raise ModelError(
+            f"the knees '{knees[0]}' and '{knees[1]}' bend sideways: their axes are not along the line from leg to leg"
+            ", so the legs cannot step ahead; are x and y exchanged in the positions of the legs or in the axes?"
+        )
     hip, ankle = 0.5 * (left.hip + right.hip), 0.5 * (left.ankle + right.ankle)
     toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)

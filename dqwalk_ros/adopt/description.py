@@ -15,6 +15,8 @@ __all__ = ["description_in"]
 
 _KINDS = ("*.urdf", "*.urdf.xacro", "*.xacro", "*.xml")
 """Names of robot descriptions, the most likely first; parts that others include are named like these as well."""
+_INCLUDED = re.compile(r"<(?:xacro:)?include\s[^>]*?file(?:name)?\s*=\s*[\"'][^\"']*?([^/\"']+)[\"']")
+"""An element that includes a file, in xacro and in MJCF; the name of the file."""
 _SHOWN = 8
 """Largest number of files in a message."""
 _ADDRESS = re.compile(r"(https?|git|ssh):/|git@")
@@ -23,6 +25,8 @@ _ADDRESS = re.compile(r"(https?|git|ssh):/|git@")
 def description_in(path: pathlib.Path) -> pathlib.Path:
     """Return the robot description at `path`: this file, or the only one of its kind in a folder.
 
+    Files that others of this kind include are parts of a description.
+
     Raises
     ------
     ModelError
@@ -30,7 +34,7 @@ def description_in(path: pathlib.Path) -> pathlib.Path:
     """
     if path.is_dir():
         for kind in _KINDS:
-            found = sorted(file for file in path.rglob(kind) if kind != "*.xml" or is_mjcf(file))
+            found = _without_parts(sorted(file for file in path.rglob(kind) if kind != "*.xml" or is_mjcf(file)))
             if len(found) == 1:
                 return found[0]
             if found:
@@ -44,3 +48,11 @@ def description_in(path: pathlib.Path) -> pathlib.Path:
             f"'{path}' is a web address: download the robot description with its meshes, and give its file"
         )
     return path
+
+
+def _without_parts(files: list[pathlib.Path]) -> list[pathlib.Path]:
+    """Return the files that no other includes; all of them if each is included."""
+    parts = {
+        name for file in files for name in _INCLUDED.findall(file.read_text(errors="replace")) if name != file.name
+    }
+    return [file for file in files if file.name not in parts] or files

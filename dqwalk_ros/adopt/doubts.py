@@ -111,7 +111,7 @@ def repair_inertias(urdf: Urdf, shapes: Shapes, leg: float) -> None:
             part.inertia = assumed * np.eye(3)
             size = f"a size of {1e3 * far:.0f} mm" if found else f"legs of {1e3 * leg:.0f} mm"
             urdf.repairs.append(
-                f"link '{name}' has the moment of inertia {largest:.2g} kg m^2, too much for {1e3 * part.mass:.3g} g "
+                f"link '{name}' has the moment of inertia {largest:.2g} kg m^2, too much for {part.mass:.3g} kg "
                 f"with {size}: {assumed:.2g} is assumed"
             )
 

@@ -32,6 +32,8 @@ _TETRAHEDRON = [0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001
 """Corners of a small mesh in the place of a missing one [m]."""
 _UNKNOWN = re.compile(r"unrecognized attribute: '(\w+)' Element '(\w+)'")
 """What MuJoCo says of an attribute that it does not know; its name, and that of its element."""
+_NUMBERS = re.compile(r"bad format in attribute '(\w+)' Element '(\w+)'")
+"""What MuJoCo says of numbers that it cannot read, as those with commas; their attribute, and its element."""
 _SETTINGS = {
     "compiler",
     "flag",
@@ -131,7 +133,7 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
     """Return a file as MuJoCo reads it, without settings of other versions of MuJoCo; and what was left out."""
     import mujoco
 
-    root, repairs = None, list[str]()
+    root, repairs = (None if path.suffix.lower() == ".xml" else _with_includes(path, path)), list[str]()
     while True:
         try:
             if root is None:
@@ -139,15 +141,21 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
             return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode")), repairs
         except (ValueError, RuntimeError, OSError) as error:
             text = " ".join(str(error).split())
-            found = _UNKNOWN.search(text)
+            unknown, unread = _UNKNOWN.search(text), _NUMBERS.search(text)
+            found = unknown or unread
             if root is None and found:
                 root = _with_includes(path, path)
             named = [] if root is None or not found else [e for e in root.iter(found[2]) if found[1] in e.attrib]
-            if found is None or found[2] not in _SETTINGS or not named:
+            if unread and (named := [e for e in named if "," in e.attrib[unread[1]]]):
+                for element in named:
+                    element.attrib[unread[1]] = element.attrib[unread[1]].replace(",", " ")
+                repairs.append(f"<{unread[2]}> has commas between the numbers of '{unread[1]}': left out")
+                continue
+            if unknown is None or unknown[2] not in _SETTINGS or not named:
                 raise ModelError(f"MuJoCo refuses '{path}': {text[:300]}") from error
             for element in named:
-                del element.attrib[found[1]]
-            repairs.append(f"<{found[2]}> has the attribute '{found[1]}' of another version of MuJoCo: left out")
+                del element.attrib[unknown[1]]
+            repairs.append(f"<{unknown[2]}> has the attribute '{unknown[1]}' of another version of MuJoCo: left out")
 
 
 def _with_includes(file: pathlib.Path, main: pathlib.Path) -> ElementTree.Element:

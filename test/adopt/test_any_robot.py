@@ -630,6 +630,16 @@ def test_legs_without_ankle_roll_and_waist_are_refused_for_that_whatever_their_f
         anatomy_of(read(tmp_path, rolls, round_))
 
 
+def test_knees_that_bend_sideways_are_named() -> None:
+    """The axes of the legs have x and y exchanged."""
+    urdf = Urdf.load(SMALL)
+    for joint in urdf.joints.values():
+        if joint.axis is not None and joint.name.endswith(("roll", "pitch", "knee")):
+            joint.axis = joint.axis[[1, 0, 2]]
+    with pytest.raises(ModelError, match="the knees 'l_knee' and 'r_knee' bend sideways"):
+        anatomy_of(urdf)
+
+
 def test_a_round_foot_is_not_blamed_on_a_mesh_of_another_link(tmp_path: Path) -> None:
     lost = r'(<link name="trunk">.*?<geometry>\s*)<box [^>]*/>', r'\1<mesh filename="lost.stl"/>'
     with pytest.raises(ModelError, match=r"round below$"):
@@ -670,6 +680,8 @@ def test_a_folder_an_archive_and_an_address_lead_to_the_description_or_say_what_
     assert description_in(one) == description_in(tmp_path) == one
     two.write_text("<robot/>")
     assert f"2 robot descriptions; give one: {one}, {two}" in said(tmp_path)
+    two.write_text('<robot><xacro:include filename="$(find my_robot)/urdf/a.urdf"/></robot>')
+    assert description_in(tmp_path) == two  # the other is a part of it
     with zipfile.ZipFile(tmp_path / "robot.zip", "w") as archive:
         archive.write(one)
     assert "is an archive: unpack it" in said(tmp_path / "robot.zip")

@@ -197,6 +197,13 @@ def test_pictures_height_fields_and_settings_of_other_versions_are_not_needed(tm
     ]
 
 
+def test_numbers_with_commas_and_files_with_another_ending_are_read(tmp_path: Path) -> None:
+    path = edited(tmp_path, (r'<body name="left_foot"', '<body name="left_foot" quat="1, 0, 0, 0"'))
+    urdf, _ = load_mjcf(path.rename(tmp_path / "robot.mjcf"))
+    assert find_anatomy(urdf, Shapes(urdf, path)).kinds == "YRPPPR"
+    assert "<body> has commas between the numbers of 'quat': left out" in urdf.repairs
+
+
 def test_what_a_scene_has_beside_the_robot_is_not_needed(tmp_path: Path) -> None:
     """A pair of contacts with the floor of another file, a keyframe of another size, and a mesh without a volume."""
     flat = '<asset><mesh name="flat" vertex="0 0 0 1e-6 0 0 0 1e-6 0 0 0 1e-6"/></asset><worldbody>'
