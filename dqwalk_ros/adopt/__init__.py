@@ -204,8 +204,9 @@ def _adopted(
         for name, effort in numbers.weak.items():
             limit = urdf.joints[name].limit
             urdf.repairs.append(
-                f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little to stand on one foot and to "
-                f"move the pressure under it: {effort:.3g} N m is assumed, which the servo must have"
+                f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little to stand on one foot, to "
+                f"move the pressure under it, or to swing the other leg: {effort:.3g} N m is assumed, which the servo "
+                "must have"
             )
             limit.effort = effort
         text = urdf.text()

@@ -54,6 +54,10 @@ YIELDING = 0.03
 """Torque with which a leg resists a force that is not fed forward in the dynamic walk, as a part of m g h."""
 FROUDE = 0.05
 """Speed of the dynamic walk divided by sqrt(g l), with the leg length l."""
+SINGLE, DOUBLE = 0.4, 0.1
+"""Durations of single and double support of the dynamic walk with a leg of the length `REFERENCE` [s]."""
+ROTOR = 0.03
+"""Inertia of a servo's rotor times its no-load speed, divided by its stall torque [s]; 0.01 to 0.09 in the table."""
 REFERENCE = 0.46
 """Leg length at which the dynamic walk has the lengths and times of Poppy's [m]; Poppy's own hips are 0.42 m high."""
 
@@ -93,13 +97,15 @@ class Numbers:
         """Return the quantities of a robot that stands in the posture `standing`."""
         config = Config().updated({"gait.step_width": rounded(anatomy.apart, 4)})
         steps, length = Footsteps(config, model, standing.q), LONGEST * anatomy.leg
-        limits, needed = dict(zip(model.joint_names, model.effort_max.tolist(), strict=True)), dict[str, float]()
+        limits = dict(zip(model.joint_names, model.effort_max.tolist(), strict=True))
+        needed, turning = dict[str, float](), dict[str, float]()
         for foot in Foot:
             kin = Kinematics(model, standing.q, foot)
             q = steps.nearest(foot, kin.pose(kin.swing)).posture
             torques = np.abs(gravity_torques(Kinematics(model, q, foot), both=False)).tolist()
             known = zip(model.joint_names, torques, strict=True)
             needed |= {name: torque for name, torque in known if name in anatomy.legs[foot]}
+            turning |= _turning(Kinematics(model, q, foot), anatomy)
         parts = {name: torque / limits[name] for name, torque in needed.items()}
         joint = max(parts, key=lambda name: parts[name])
         reach, stuck = steps.reach(length)
@@ -107,7 +113,7 @@ class Numbers:
             length = max(reach, 0.5 * length)
             reach, again = steps.reach(length)
             stuck = again or stuck
-        weak = _weak(model, anatomy, limits, needed)
+        weak = _weak(model, anatomy, limits, needed, turning)
         return cls(model, anatomy, standing, parts[joint], joint, weak, reach, stuck)
 
     @property
@@ -148,7 +154,16 @@ class Numbers:
         """Stiffness of the servos, 5 m g h [N m/rad]."""
         return rounded(STIFFNESS * self.mgh)
 
-    def damping(self, stiffness: float, ratio: float = 0.5, armature: float = Config().servo.armature) -> float:
+    @cached_property
+    def armature(self) -> float:
+        """Inertia of the rotors, seen from the joints [kg m^2]: that of every robot, or less for weak, fast servos."""
+        usual, model = Config().servo.armature, self.model
+        legs = [model.joint_names.index(name) for names in self.anatomy.legs.values() for name in names]
+        known = [k for k in legs if math.isfinite(model.effort_max[k] + model.velocity_max[k])]
+        light = [ROTOR * float(model.effort_max[k] / model.velocity_max[k]) for k in known]
+        return rounded(min(usual, float(np.median(light))), 2) if light else usual
+
+    def damping(self, stiffness: float, ratio: float, armature: float) -> float:
         """Return the damping of servos divided by their `stiffness` [s] that gives a swinging leg a damping `ratio`.
 
         The `armature` of the servos [kg m^2] swings with the leg; that of a small robot is the larger part.
@@ -173,13 +188,38 @@ class Numbers:
         return math.ceil(10.0 * max(SHORTEST, needed) - 1e-6) / 10.0
 
 
+def _turning(kin: Kinematics, anatomy: Anatomy) -> dict[str, float]:
+    """Return the torques of the joints of the stance leg that keep a body from turning while the other swings [N m].
+
+    The bodies of the swinging leg, as point masses, are accelerated ahead in proportion to their depth below the hip,
+    the sole as on a minimum-jerk path over two steps of the dynamic walk, 5.78 d/T^2 at most: their moment about the
+    vertical at the stance hip is carried by the vertical parts of the axes.
+    """
+    model, size = kin.model, anatomy.leg / REFERENCE
+    ahead = 2.0 * FROUDE * math.sqrt(GRAVITY * anatomy.leg) * (SINGLE + DOUBLE) * math.sqrt(size)
+    acceleration = 5.78 * ahead / (SINGLE**2 * size)
+    of = {model.joint_names[body.joint]: b for b, body in enumerate(model.bodies) if body.joint >= 0}
+    stance, swing = anatomy.legs[kin.base], anatomy.legs[kin.base.other]
+    hip, other = (kin.point(model.links[of[leg[0]]]) for leg in (stance, swing))
+    moment = 0.0
+    for b in (of[name] for name in swing):
+        _, y, z = kin.point(model.links[b], model.bodies[b].com)
+        moment += model.bodies[b].mass * acceleration * (other[2] - z) / anatomy.leg * abs(y - hip[1])
+    axes = {name: kin.direction(model.links[of[name]], model.bodies[of[name]].axis) for name in stance}
+    return {name: moment * abs(float(axis[2])) for name, axis in axes.items()}
+
+
 def _weak(
-    model: RobotModel, anatomy: Anatomy, limits: Mapping[str, float], needed: Mapping[str, float]
+    model: RobotModel,
+    anatomy: Anatomy,
+    limits: Mapping[str, float],
+    needed: Mapping[str, float],
+    turning: Mapping[str, float],
 ) -> dict[str, float]:
     """Return the joints of both legs that are too weak, with effort limits to assume [N m]; see `Numbers`.
 
-    A joint needs `RESERVE` times the torque `needed` to stand on one foot [N m], and each joint below the knee what
-    moves the pressure by the parts `PRESSURE` of the sole from its middle.
+    A joint needs `RESERVE` times the torque `needed` to stand on one foot [N m], the same of that against `turning`
+    [N m], and each joint below the knee what moves the pressure by the parts `PRESSURE` of the sole from its middle.
     """
     sole, load, out = model.soles[Foot.LEFT], model.mass * GRAVITY, dict[str, float]()
     arms = np.array([PRESSURE[1] * sole.width, PRESSURE[0] * sole.length, 0.0])
@@ -190,6 +230,7 @@ def _weak(
     }
     for pair in zip(*anatomy.legs.values(), strict=True):
         standing, pressing = max(needed[name] for name in pair), max(moving.get(name, 0.0) for name in pair)
+        standing = max(standing, *(turning[name] for name in pair))
         if min(limits[name] for name in pair) < max(RESERVE * standing, pressing):
             out |= {name: max(limits[name], rounded(max(1.5 * standing, pressing))) for name in pair}
     return out
@@ -330,9 +371,14 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("servo.assumed_stiffness", n.stiffness, "equal to servo.stiffness, for gravity feedforward", "guess"),
         Entry(
             "servo.damping",
-            n.damping(n.stiffness),
+            n.damping(n.stiffness, 0.5, n.armature),
             f"a damping ratio of 0.5 for a leg of {n.inertia:.3g} kg m^2 and the rotors",
             "guess",
+        ),
+        *(
+            Entry(f"servo.{key}", n.armature, "0.03 s times effort limit / velocity limit", "guess")
+            for key in ("armature", "assumed_armature")
+            if n.armature < Config().servo.armature
         ),
         Entry("servo.torque_scale", 1.0, "the effort limits of robot.urdf", "likely"),
         Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown", "default"),
@@ -373,7 +419,7 @@ def drive_parameters(drives: Mapping[str, MjcfDrive], numbers: Numbers) -> tuple
     values = {f"servo.{key}": rounded(armature) for key in ("armature", "assumed_armature")}
     values["servo.friction"] = rounded(friction)
     values = {key: value for key, value in values.items() if value > 0.0}
-    rotor = values.get("servo.armature", Config().servo.armature)
+    rotor = values.get("servo.armature", numbers.armature)
     values["servo.damping"] = numbers.damping(numbers.stiffness, 0.5, rotor)
     if not stiffness > 0.0:
         return values, []
@@ -397,7 +443,7 @@ def dynamic_parameters(numbers: Numbers, damping: float, stiffness: float) -> li
     anatomy = numbers.anatomy
     size = anatomy.leg / REFERENCE
     slow = math.sqrt(size)
-    single, double = rounded(0.4 * slow, 2), rounded(0.1 * slow, 2)
+    single, double = rounded(SINGLE * slow, 2), rounded(DOUBLE * slow, 2)
     speed = FROUDE * math.sqrt(GRAVITY * anatomy.leg)
     step = rounded(speed * (single + double), 2)
     roll = anatomy.sideways

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +27,10 @@ if TYPE_CHECKING:
 
 __all__ = ["adopt"]
 
-_SHOWN = 5
-"""Repairs that are printed."""
+_SHOWN = 8
+"""Kinds of repairs that are printed, with one example of each."""
+_PARTICULAR = re.compile(r"'[^']*'|[-+.\d]+(?:e[-+]?\d+)?")
+"""What distinguishes repairs of the same kind: names and numbers."""
 
 
 @command("""
@@ -117,16 +121,17 @@ def adopt(
         except OutputError as error:
             raise ConfigError(str(error)) from error  # it is not adopted
         except ModelError as error:
-            for repair in getattr(error, "__notes__", ()):
+            for repair in _kinds(getattr(error, "__notes__", ())):
                 bar.print(f"repaired: {repair}")
             raise
         bar.stage(0.7, "drawing")
         draw(found.config, found.model, out / "robot.png", overwrite=force)
     if not quiet:
-        for repair in found.repairs[:_SHOWN]:
+        kinds = _kinds(found.repairs)
+        for repair in kinds[:_SHOWN]:
             print(f"repaired: {repair}")
-        if len(found.repairs) > _SHOWN:
-            print(f"repaired: {len(found.repairs) - _SHOWN} more, listed in {out / 'adopt.json'}")
+        if len(kinds) < len(found.repairs) or len(kinds) > _SHOWN:
+            print(f"all {len(found.repairs)} repairs are listed in {out / 'adopt.json'}")
         print(adopting.table(found))
         files = [out / name for name in sorted(adopting.FILES) if (out / name).exists()]
         print(f"wrote {', '.join(map(str, files))}; look at robot.png first")
@@ -145,6 +150,14 @@ def adopt(
         except KeyboardInterrupt:
             page.close()
     return code
+
+
+def _kinds(repairs: Sequence[str]) -> list[str]:
+    """Return the first repair of each kind, with the number of others that differ only by names and numbers."""
+    kinds: dict[str, list[str]] = {}
+    for repair in repairs:
+        kinds.setdefault(_PARTICULAR.sub("", repair), []).append(repair)
+    return [same[0] + (f" ({len(same) - 1} more like this)" if len(same) > 1 else "") for same in kinds.values()]
 
 
 def _page(found: Adoption, port: int | None) -> Page:

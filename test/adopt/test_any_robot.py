@@ -410,7 +410,7 @@ def test_repairs_are_printed_for_a_refused_robot_too(tmp_path: Path, capsys: pyt
     assert cli.main(["adopt", str(path), "--out", str(tmp_path / "out"), "--yes"]) == 2
     out, error = capsys.readouterr()
     assert "repaired: line" in out
-    assert "'l_knee' has no range" in out
+    assert "'l_hip_yaw' has no range, lower and upper are 0: fixed there (11 more like this)" in out
     assert "joints have no range" in error
 
 
@@ -504,6 +504,14 @@ def test_the_damping_of_light_legs_is_that_of_legs_with_rotors() -> None:
         assert ratio == pytest.approx(0.5, rel=0.03)
 
 
+def test_weak_fast_servos_have_light_rotors(tmp_path: Path) -> None:
+    for effort, speed, armature in (("0.4", "12", 0.001), ("40", "12", 0.01), ("0", "0", 0.01)):  # 0: no limit
+        urdf = read(tmp_path, (r'effort="[^"]*" velocity="[^"]*"', f'effort="{effort}" velocity="{speed}"'))
+        standing = Standing(np.zeros(12), np.zeros(3), 0.3, error=0.0, knee=0.0, off=0.0)
+        numbers = Numbers(small_model(urdf), anatomy_of(urdf), standing, 0.0, "", {}, 0.0, ())
+        assert numbers.armature == armature
+
+
 def test_the_knees_of_a_posture_are_bent_further_than_where_their_range_begins() -> None:
     urdf = Urdf.load(SMALL)
     for side, sign in (("l", 1.0), ("r", -1.0)):
@@ -532,6 +540,17 @@ def test_efforts_too_small_to_stand_are_replaced_and_named(tmp_path: Path) -> No
     assert limits["l_knee"] == 4.1
     assert sum("'l_ankle_roll' has an effort limit of 0.1 N m, too little" in text for text in found.repairs) == 1
     assert found.config.servo.torque_scale == 1.0
+
+
+def test_the_yaw_joint_of_a_stance_leg_holds_the_body_while_the_other_leg_swings(tmp_path: Path) -> None:
+    found = adopt(edited(tmp_path, SMALL, (r'(name="._hip_yaw".*?effort=)"[^"]*"', r'\1"0.01"')), tmp_path / "out")
+    limits = dict(zip(found.model.joint_names, found.model.effort_max, strict=True))
+    gait = load(tmp_path / "out" / "dynamic.yaml")
+    leg = sum(body.mass for body in found.model.bodies) / 4.0  # at most
+    ahead, time = 2.0 * gait.gait.step_length, gait.standing.swing_duration
+    most = leg * 5.78 * ahead / time**2 * gait.gait.step_width
+    assert 0.1 * most < limits["l_hip_yaw"] == limits["r_hip_yaw"] < 1.5 * most
+    assert any("'l_hip_yaw' has an effort limit of 0.01 N m, too little" in text for text in found.repairs)
 
 
 def test_a_posture_that_is_not_found_names_the_joints_at_their_limits(tmp_path: Path) -> None:
