@@ -216,8 +216,8 @@ def limits(
 
     Duration, part and bottle are those of `Push`; the tolerance is in [N s], by default 0.36 % of `impulse_scale`.
     """
-    exact = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
-    settings = (config, duration, part, bottle, exact)
+    tolerance = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
+    settings = (config, duration, part, bottle, tolerance)
     task = functools.partial(limit, *settings)
     return every_limit(task, settings, out, moments, directions, **options)
 
