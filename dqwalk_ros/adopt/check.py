@@ -13,7 +13,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import gravity_torques
-from dqwalk_ros.plants.table import entry
+from dqwalk_ros.plants.table import entry, make_plant
 from dqwalk_ros.robot.model import RobotModel, find_urdf
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.robot.shapes import Shapes
@@ -52,14 +52,15 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
 
 
 def require_usable(config: Config, model: RobotModel) -> None:
-    """Check that a walk can be made, and that there is its plant, so that what can be checked can be used.
+    """Check that a walk has a first command, and that there is its plant, so that what can be checked can be used.
 
     Raises
     ------
-    ConfigError, PlantError
-        As `walks.table.make_controller` and `plants.table.entry`.
+    DqwalkError
+        As `walks.table.make_controller`, `VelocityController.step` and `plants.table.entry`.
     """
-    make_controller(config, model)
+    controller = make_controller(config, model)
+    controller.step(make_plant("integrator", config, model).state, config.dt)
     if config.plant.name:
         entry(config.plant.name)
 

@@ -25,6 +25,8 @@ __all__ = [
     "overlaid", "replaced", "resolved", "sections_of", "to_yaml", "with_files",
 ]  # fmt: skip
 
+_MOST = 2000
+"""Largest number of parameters of one section; this package has less than 300."""
 OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
 """Parameters that rclpy declares for every node; ``ros2 param dump`` writes them, `from_yaml` ignores them."""
 
@@ -104,12 +106,17 @@ def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) ->
     for section in sections_of(text, source=source):
         if not section.is_ours:
             continue
+        if len(section.values) > _MOST:
+            raise ConfigError(f"{source}: '{section.name}' has {len(section.values)} parameters; at most {_MOST}")
         foreign = [name for name in section.values if is_foreign(name)]
         if foreign:
             logging.getLogger("dqwalk_ros").warning(
                 f"{source}: ignoring parameters of other packages: {listed(foreign)}"
             )
         values = {name: value for name, value in section.values.items() if name not in foreign}
+        if not isinstance(values.get("use_sim_time", True), bool):
+            line = strict_yaml.line_of(text, [*section.path, "use_sim_time"])
+            raise ConfigError(f"{source}, line {line}: 'use_sim_time' must be true or false")
         values = {name: value for name, value in values.items() if name.split(".")[0] not in OF_RCLPY}
         try:
             config = config.updated(values)

@@ -11,6 +11,7 @@ import ast
 import importlib
 import inspect
 import re
+import signal
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -123,6 +124,8 @@ def main(name: str, argv: Sequence[str]) -> int:
         Without the program's name.
     """
     options = parse(name, argv)  # help and usage errors need no ROS
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # an import may lose a KeyboardInterrupt; later `wheels.init`
     module, _, kind = NODES[name].partition(":")
     try:
         check_ros_environment()

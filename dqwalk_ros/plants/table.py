@@ -125,4 +125,6 @@ def _imported(name: str) -> type[Plant]:
         raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Plant)):
         raise PlantError(f"the plant '{name}' is not a subclass of dqwalk_ros.plants.base.Plant")
+    if lacks := sorted(getattr(found, "__abstractmethods__", ())):
+        raise PlantError(f"the plant '{name}' does not define {', '.join(lacks)}")
     return found

@@ -16,7 +16,7 @@ __all__ = ["deferred_interrupts", "end_with", "is_interrupt", "serve"]
 
 @contextlib.contextmanager
 def deferred_interrupts() -> Iterator[list[signal.Signals]]:
-    """Collect the first SIGINT or SIGTERM in the list that is yielded, instead of ending the process.
+    """Collect the first SIGINT, SIGTERM or SIGHUP in the list that is yielded, instead of ending the process.
 
     The loop inside the context reads the list after each step. A second signal acts at once, as outside of the context.
     Signals that are ignored or have a handler of the program are not affected, nor is any thread but the main one.
@@ -33,7 +33,7 @@ def deferred_interrupts() -> Iterator[list[signal.Signals]]:
         restore()
 
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             handler = signal.getsignal(number)
             if handler in (signal.default_int_handler, signal.SIG_DFL):
                 before[number] = handler
@@ -65,6 +65,7 @@ def end_with(parent: int, number: signal.Signals) -> None:
 
 
 def serve(parent: int) -> None:
-    """Leave Ctrl-C, which reaches the workers of a study, too, to their parent, and end with it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Leave Ctrl-C and a closed terminal, which reach the workers of a study, too, to their parent; end with it."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     end_with(parent, signal.SIGKILL)

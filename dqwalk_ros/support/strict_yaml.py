@@ -46,7 +46,7 @@ for _tag, _pattern in {
     "merge": r"<<$",
     "null": r"(?:~|null|Null|NULL|)$",
 }.items():
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), None)
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern, re.ASCII), None)
 
 
 def _at(place: Any, problem: str) -> yaml.MarkedYAMLError:
@@ -65,7 +65,9 @@ def read_text(path: str | os.PathLike[str]) -> str:
     try:
         with open(path, encoding="utf-8") as file:
             text = file.read(MAX_BYTES + 1)
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"cannot read '{path}': it is not a text in UTF-8 (byte {error.start})") from error
+    except OSError as error:
         raise ConfigError(f"cannot read '{path}': {error}") from error
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{path}: longer than {MAX_BYTES >> 20} MiB")
@@ -88,7 +90,10 @@ def read(text: str, *, source: str = "text") -> Any:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}: " if mark is not None else ""
-        raise ConfigError(f"{source}: {line}not YAML: {error.problem or error.context}") from error
+        problem = error.problem or error.context
+        if mark is not None and text[mark.index : mark.index + 1] == "\t":
+            problem = "a tab; YAML is indented by spaces"
+        raise ConfigError(f"{source}: {line}not YAML: {problem}") from error
     except (yaml.YAMLError, ValueError, OverflowError, KeyError, AttributeError, TypeError) as error:
         # a date that does not exist, a number with 5000 digits, a control character, ...
         raise ConfigError(f"{source}: not YAML: {' '.join(str(error).split())[:300]}") from error

@@ -200,6 +200,7 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
         (["config", "paper", "--set", "ssp.com_radius"], "KEY=VALUE"),
         (["config", "poppy", "--check", "--set", "collision.pairs=[shin=r_shin]"], "no link 'shin'"),
+        (["config", "paper", "--check", "--set", "collision.pairs=[a=b]"], "no link 'a'"),
         (["config", "poppy", "--check", "--set", "gait.walk=nowhere:Walk"], "No module named 'nowhere'"),
         (["config", "poppy", "--check", "--set", "servo.types=['*=NOPE']"], "servo.types names 'NOPE'"),
         (["config", "poppy", "--check", "--set", "gait.footsteps=['nan,0,0']"], "gait.footsteps"),
@@ -222,6 +223,13 @@ def test_an_invalid_configuration_gives_one_line_and_exit_code_2(arguments, expe
     assert is_one_line(output), output
     assert expected in output
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_walk_without_a_first_command_cannot_be_used(capsys):
+    assert cli.main(["config", "paper", "--check", "--set", "robot.pelvis=l_sole"]) == 1
+    output = capsys.readouterr()
+    assert "pelvis is short by" in output.err
+    assert "can be used" not in output.out
 
 
 def test_overrides_are_read_as_yaml():

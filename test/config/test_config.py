@@ -83,6 +83,8 @@ VALUES = [
     ("gait: {cycles: 1}\ngait: {cycles: 2}", "line 4: .*'gait' was given in line 3"),
     ("gait.cycles: 1\ngait: {cycles: 2}", "'gait.cycles' is given twice"),
     (f"dt: {'9' * 5000}", "not YAML"),
+    ("dt: \u0660.\u0660\u0661", "line 3: 'dt' must be a number"),  # digits, but not those of YAML
+    ("use_sim_time: maybe", "line 3: 'use_sim_time' must be true or false"),
     ("dt: 2001-01-01", "'dt' must be a number"),
     ("dt: [1", "line 4: not YAML"),
     ("dt: *x", "line 3: not YAML: anchors"),
@@ -92,7 +94,8 @@ VALUES = [
 ]
 FILES = {
     "a node twice": ("/**: {ros__parameters: {}}\n/**: {ros__parameters: {}}\n", "line 2: .*was given in line 1"),
-    "a tab": (HEAD + "\tdt: 1\n", "line 3: not YAML"),
+    "a tab": (HEAD + "\tdt: 1\n", "line 3: not YAML: a tab"),
+    "thousands of parameters": (HEAD + "".join(f"    p{k}: 1\n" for k in range(2001)), "has 2001 parameters; at most"),
     "a bomb": (BOMB, "line 1: not YAML: anchors"),
     "code": ("!!python/object/apply:os.system ['true']", "not YAML"),
     "two documents": (f"{HEAD}    dt: 0.005\n---\n{HEAD}    dt: 0.01\n", "not YAML"),

@@ -36,6 +36,8 @@ REFUSED = {
     "a number with an underscore": ("/**: {ros__parameters: {gait.cycles: 1_0}}", "gait.cycles"),
     "a time for a number": ("/**:\n  ros__parameters:\n    gait.cycles: 1:30", "gait.cycles"),
     "a binary number": ("/**: {ros__parameters: {gait.cycles: 0b11}}", "gait.cycles"),
+    "digits of another script": ("/**: {ros__parameters: {dt: \u0660.\u0660\u0661}}", "dt"),
+    "no answer whether time is simulated": ("/**: {ros__parameters: {use_sim_time: maybe}}", "use_sim_time"),
     "a value out of bounds": ("phase_monitor: {ros__parameters: {dt: 100.0}}", "dt"),
 }  # fmt: skip
 NAMESPACES = {

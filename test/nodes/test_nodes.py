@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import math
 import signal
@@ -19,11 +20,13 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.cli.runner import environment, private_domain, run_walk
 from dqwalk_ros.config import load, to_yaml
+from dqwalk_ros.nodes import command_line
 from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.topics import OPTIONAL, TOPICS
 from dqwalk_ros.walks.table import make_controller
 
@@ -307,6 +310,23 @@ def test_a_signal_ends_a_node_without_a_traceback(nodes: Any, name: str, number:
     one.processes.signal(name, number)
     assert one.processes.wait(name, 20.0) == 0, one.logs()
     assert "Traceback" not in one.processes.log(name)
+
+
+def test_an_interrupt_during_the_start_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A compiled module that is being imported may swallow a KeyboardInterrupt, and the node would start."""
+    handlers: list[Any] = []
+
+    def imported(name: str) -> Any:
+        handlers.append(signal.getsignal(signal.SIGINT))
+        raise ConfigError("enough")
+
+    monkeypatch.setattr(importlib, "import_module", imported)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert command_line.main("controller", []) == 2
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert handlers == [signal.SIG_DFL]
 
 
 def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path) -> None:

@@ -51,7 +51,10 @@ def test_every_plant_of_the_table_can_be_made_or_names_its_node() -> None:
     assert set(PHYSICS) < set(SIMULATORS) < set(PLANTS)
 
 
-@pytest.mark.parametrize("name", ["no_such", "os:path", "dqwalk_ros.plants.kinematic:Nothing", "no_module:Plant"])
+@pytest.mark.parametrize(
+    "name",
+    ["no_such", "os:path", "dqwalk_ros.plants.base:Plant", "dqwalk_ros.plants.kinematic:Nothing", "no_module:Plant"],
+)
 def test_what_is_no_plant_is_an_error(name: str) -> None:
     with pytest.raises(PlantError, match=name):
         plant_type(name)

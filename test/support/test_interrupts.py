@@ -31,7 +31,7 @@ def interrupted_walk(*signals, step=5):
     return simulate(make_controller(PAPER, legs()), KinematicPlant(legs()), before_step=before_step, max_time=0.1)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_the_step_is_completed_and_recorded(number):
     before = signal.getsignal(number)
     trace = interrupted_walk(number)
