@@ -194,11 +194,10 @@ def is_foreign(name: str) -> bool:
 
     It is not in the schema, not in one of its sections, and not similar to one of its names.
     """
+    if name.split(".")[0] in (*OF_RCLPY, *Config.__dataclass_fields__):
+        return False
     known = [spec.name for spec in Config.specs()]
-    sections = {spec.split(".")[0] for spec in known}
-    return not (
-        name.split(".")[0] in sections.union(OF_RCLPY) or difflib.get_close_matches(name[:100], known, n=1, cutoff=0.8)
-    )
+    return not difflib.get_close_matches(name[:100], known, n=1, cutoff=0.8)
 
 
 def with_files(config: Config, files: Iterable[pathlib.Path]) -> Config:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import warnings
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -646,8 +646,8 @@ class Config:
 
     def flat(self) -> dict[str, Value]:
         """Return ``{dotted name: value}``."""
-        at: Any = self
-        return {name: functools.reduce(getattr, name.split("."), at) for name in _specs()}
+        names = _specs()
+        return dict(zip(names, operator.attrgetter(*names)(self), strict=True))
 
     def updated(self, values: Mapping[str, Any], *, source: str = "") -> Config:
         """Return a copy with the values of ``{dotted name: value}`` replaced.
@@ -657,10 +657,6 @@ class Config:
         ConfigError
             For an unknown name, a wrong type or a value out of bounds.
         """
-        if "physics.imu" in values:
-            values = {"robot.imu" if name == "physics.imu" else name: value for name, value in values.items()}
-            if values["robot.imu"] != "imu":  # the former default, which every older recording contains
-                warnings.warn(f"{source or 'a configuration'}: 'physics.imu' is now 'robot.imu'", stacklevel=2)
         try:
             values = {name: checked(_specs(), name, value) for name, value in values.items()}
         except ConfigError as error:

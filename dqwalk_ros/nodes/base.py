@@ -99,6 +99,8 @@ class WalkNode(Node):
 
     def _on_parameters(self, wanted: Iterable[Parameter]) -> SetParametersResult:
         changed = {p.name: p.value for p in wanted if p.name.split(".")[0] not in OF_RCLPY}
+        if not changed:
+            return SetParametersResult(successful=True)
         try:
             config = self.config.updated(changed)
             self.tune(config)

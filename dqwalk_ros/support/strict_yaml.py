@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import re
 from collections.abc import Sequence
@@ -85,8 +86,7 @@ def read(text: str, *, source: str = "text") -> Any:
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{source}: longer than {MAX_BYTES >> 20} MiB")
     try:
-        _check_events(text)
-        return yaml.load(text, _Loader)
+        return copy.deepcopy(_parsed(text))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}: " if mark is not None else ""
@@ -97,6 +97,13 @@ def read(text: str, *, source: str = "text") -> Any:
     except (yaml.YAMLError, ValueError, OverflowError, KeyError, AttributeError, TypeError) as error:
         # a date that does not exist, a number with 5000 digits, a control character, ...
         raise ConfigError(f"{source}: not YAML: {' '.join(str(error).split())[:300]}") from error
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> Any:
+    """Return the content of a text; cached, because the same tables are read for every walk of a process."""
+    _check_events(text)
+    return yaml.load(text, _Loader)
 
 
 def _check_events(text: str) -> None:
