@@ -176,6 +176,11 @@ class RobotModel:
         return tuple(first[body] for body in range(len(self.bodies)))
 
     @functools.cached_property
+    def all_joints(self) -> frozenset[str]:
+        """Names of all joints of the URDF, also of those that are locked."""
+        return frozenset(joint.attrib["name"] for joint in ElementTree.fromstring(self.urdf).iterfind("joint"))
+
+    @functools.cached_property
     def foot_of(self) -> dict[str, Foot]:
         """The foot of each sole, by the name of its link."""
         return {sole.frame: foot for foot, sole in self.soles.items()}

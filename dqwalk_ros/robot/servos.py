@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
@@ -271,7 +270,7 @@ def _entries(key: str, entries: tuple[str, ...], model: RobotModel) -> list[tupl
         if not equals or not text:
             raise ConfigError(f"{key} has '{entry}'; it must be JOINT=...")
         joints = [k for k, joint in enumerate(model.joint_names) if fnmatch.fnmatchcase(joint, name)]
-        if not joints and not fnmatch.filter(Urdf(model.urdf, model.name).joints, name):
+        if not joints and not fnmatch.filter(model.all_joints, name):
             raise ConfigError(f"{key} names '{name}'; the joints are {', '.join(model.joint_names)}")
         out.append((joints, text))
     return out
