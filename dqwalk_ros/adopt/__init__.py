@@ -21,7 +21,9 @@ from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
 from dqwalk_ros.adopt.parameters import (
+    LONGEST,
     Numbers,
+    com_threshold,
     drive_parameters,
     dynamic_parameters,
     paper_parameters,
@@ -54,6 +56,10 @@ _ALIGNED = 1e-6
 """Largest angle between the axes of the pelvis or the root and those of the robot that counts as none [rad]."""
 _SHORTEST = 0.01
 """Length of a step, as a fraction of the leg, below which a robot does not walk."""
+_OVER = 0.1
+"""Largest distance of the CoM from the middle of a sole that it can reach, as a part of that at which phases end."""
+_LONG = 0.66
+"""Least length of a step, as a fraction of the usual one, for which the soles are not placed closer."""
 _HIGH = 0.4, 1.6
 """Least and largest height of the origin of pelvis and root above the soles, as fractions of that of the hips."""
 
@@ -204,9 +210,9 @@ def _adopted(
         for name, effort in numbers.weak.items():
             limit = urdf.joints[name].limit
             urdf.repairs.append(
-                f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little to stand on one foot, to "
-                f"move the pressure under it, or to swing the other leg: {effort:.3g} N m is assumed, which the servo "
-                "must have"
+                f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little for it or for others "
+                "of the legs with the same limit to stand on one foot, to move the pressure under it, or to swing the "
+                f"other leg: {effort:.3g} N m is assumed, which the servo must have"
             )
             limit.effort = effort
         text = urdf.text()
@@ -249,39 +255,53 @@ def _adopted(
 def _numbers(model: RobotModel, anatomy: Anatomy) -> Numbers:
     """Return the quantities of the walk.
 
-    Where joints are at their limits with the soles as far apart as in the zero posture, the soles are closer.
+    Where joints are at their limits with the soles as far apart as in the zero posture, the soles are closer: so close
+    that the CoM reaches the middle of one sole, and the legs make steps of two thirds of the usual length, or else the
+    longest; where the CoM reaches it at no distance, it is that at which it comes nearest.
 
     Raises
     ------
     ModelError
         If the robot cannot stand on either foot, or cannot step.
     """
-    problem: ModelError | None = None
-    for apart in distances(anatomy):
-        why = "closer than in the zero posture, or joints are at their limits"
-        more = (Entry("distance of the soles", f"{1e3 * apart:.0f} mm", why, "likely"),) if problem else ()
+    problem, possible = None, list[tuple[bool, float, Numbers]]()
+    wide, *closer = distances(anatomy)
+    for apart in (wide, *closer):
+        why = "closer than in the zero posture, where joints are at their limits"
+        more = (Entry("distance of the soles", f"{1e3 * apart:.0f} mm", why, "likely"),) if apart < wide else ()
         tried = replace(anatomy, apart=apart, evidence=(*anatomy.evidence, *more))
         try:
-            standing = stand(model, tried)
-            single = [over_one_foot(model, tried, standing, foot) for foot in Foot]
-            worst, deviation = max(single, key=lambda one: one[1])
-            if deviation > 0.25 * anatomy.soles[Foot.LEFT].width + 0.005:
-                raise ModelError(
-                    f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance "
-                    f"from its middle is {1e3 * deviation:.0f} mm{at_limits(model, tried, worst)}"
-                )
-            numbers = Numbers.of(model, tried, standing)
-            if numbers.step < _SHORTEST * anatomy.leg:
-                raise ModelError(
-                    f"the legs reach steps of {1e3 * numbers.reach:.1f} mm only: "
-                    f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
-                )
+            numbers, deviation = _standing(model, tried)
         except ModelError as error:
             problem = problem or error
             continue
-        return numbers
+        over = deviation < _OVER * com_threshold(anatomy.leg)
+        if over and numbers.step > _LONG * LONGEST * anatomy.leg:
+            return numbers
+        possible.append((over, numbers.step if over else -deviation, numbers))
+    if possible:
+        return max(possible, key=lambda one: one[:2])[2]
     assert problem is not None
     raise problem
+
+
+def _standing(model: RobotModel, anatomy: Anatomy) -> tuple[Numbers, float]:
+    """Return the quantities of the walk, and how near the CoM comes to the middle of a sole [m]; see `_numbers`."""
+    standing = stand(model, anatomy)
+    single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
+    worst, deviation = max(single, key=lambda one: one[1])
+    if deviation > 0.25 * anatomy.soles[Foot.LEFT].width + 0.005:
+        raise ModelError(
+            f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance "
+            f"from its middle is {1e3 * deviation:.0f} mm{at_limits(model, anatomy, worst)}"
+        )
+    numbers = Numbers.of(model, anatomy, standing)
+    if numbers.step < _SHORTEST * anatomy.leg:
+        raise ModelError(
+            f"the legs reach steps of {1e3 * numbers.reach:.1f} mm only: "
+            f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
+        )
+    return numbers, deviation
 
 
 def _check_places(path: pathlib.Path, folder: pathlib.Path, *, overwrite: bool) -> None:

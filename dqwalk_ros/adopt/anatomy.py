@@ -45,7 +45,7 @@ _LATERAL = 0.5
 """Least lateral component of the axis of a knee with which the leg steps forward."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
-_NARROWER = 1.0, 0.75, 0.5
+_NARROWER = 1.0, 0.87, 0.75, 0.62, 0.5, 0.4
 """Distances of the soles that are tried, as fractions of the widest one."""
 
 

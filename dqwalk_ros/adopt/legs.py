@@ -66,6 +66,14 @@ class Leg:
         )
         return float(np.linalg.norm(self.middle + turned - self.hip, axis=1).max())
 
+    def stretched(self, axis: Array) -> float:
+        """Return the angle of the knee about its `axis` (3,) at which the leg is straight [rad].
+
+        It is measured from the posture of the leg, and not zero where the knee is not on the line from hip to ankle.
+        """
+        thigh, shank = self.middle - self.hip, self.ankle - self.middle
+        return float(np.arctan2(axis @ np.cross(shank, thigh), shank @ thigh - (axis @ shank) * (axis @ thigh)))
+
 
 def leg_of(places: Array, axes: Array) -> Leg | None:
     """Return hip, knee and ankle of a leg: the knee's axis is that which is farthest from both ends.

@@ -26,6 +26,7 @@ from dqwalk_ros.walks.footsteps import Footsteps
 
 __all__ = [
     "Numbers",
+    "com_threshold",
     "drive_parameters",
     "dynamic_parameters",
     "paper_parameters",
@@ -220,6 +221,7 @@ def _weak(
 
     A joint needs `RESERVE` times the torque `needed` to stand on one foot [N m], the same of that against `turning`
     [N m], and each joint below the knee what moves the pressure by the parts `PRESSURE` of the sole from its middle.
+    Joints with the limit of one that is too weak have the same servo, or a limit that is none.
     """
     sole, load, out = model.soles[Foot.LEFT], model.mass * GRAVITY, dict[str, float]()
     arms = np.array([PRESSURE[1] * sole.width, PRESSURE[0] * sole.length, 0.0])
@@ -233,7 +235,14 @@ def _weak(
         standing = max(standing, *(turning[name] for name in pair))
         if min(limits[name] for name in pair) < max(RESERVE * standing, pressing):
             out |= {name: max(limits[name], rounded(max(1.5 * standing, pressing))) for name in pair}
-    return out
+    assumed = {limit: max(out[name] for name in out if limits[name] == limit) for limit in map(limits.get, out)}
+    alike = {name: assumed[limits[name]] for leg in anatomy.legs.values() for name in leg if limits[name] in assumed}
+    return out | alike
+
+
+def com_threshold(leg: float) -> float:
+    """Return the distance of the CoM from its goal at which a phase of the standing walk ends [m], for a leg length."""
+    return rounded(0.005 * min(1.0, leg / 0.4))
 
 
 def rounded(value: float, digits: int = 3) -> float:
@@ -360,7 +369,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("standing.pressure_margin", rounded(min(0.004, 0.07 * n.width)), "half of the margin"),
         Entry("standing.transfer_duration", n.transfer, "the CoP stays within the soles during the transfer"),
         Entry("standing.swing_duration", swing, "as for every robot", "default"),
-        Entry("standing.com_threshold", rounded(0.005 * small), "5 mm, less for a short leg"),
+        Entry("standing.com_threshold", com_threshold(anatomy.leg), "5 mm, less for a short leg"),
         Entry("standing.swing_threshold", rounded(0.003 * small), "3 mm, less for a short leg"),
         Entry("standing.saturation", rounded(0.03 * small), "3 cm, less for a short leg"),
         Entry("standing.lever", rounded(0.5 * anatomy.leg), "half a leg"),

@@ -80,13 +80,14 @@ def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
         If no posture has both soles level side by side and the CoM over their middle; the message names the joints at
         their limits.
     """
-    start, lateral = np.zeros(model.n), Y
+    straight, start = np.zeros(model.n), np.zeros(model.n)
     for joints, axes, leg in leg_axes(model, anatomy):
-        start[joints] = bent(axes, leg.knee, lateral)
-    found = [_solve(model, anatomy, bend, way * start) for way in (1.0, -1.0)]
+        start[joints] = bent(axes, leg.knee, Y)
+        straight[joints[leg.knee]] = leg.stretched(axes[leg.knee])
+    found = [_solve(model, anatomy, bend, straight + way * start) for way in (1.0, -1.0)]
     random = np.random.default_rng(0)
     while len(found) < _STARTS and min(one.error for one in found) > _LEAST * max(anatomy.leg, 0.2):
-        found.append(_solve(model, anatomy, bend, start + random.uniform(-0.5, 0.5, model.n)))
+        found.append(_solve(model, anatomy, bend, straight + start + random.uniform(-0.5, 0.5, model.n)))
     good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
     if not good:
         best = min(found, key=lambda one: one.error)

@@ -483,13 +483,29 @@ def test_soles_are_as_close_as_narrow_limits_of_the_ankles_require(tmp_path: Pat
         urdf.joints[f"{side}_hip_yaw"].origin[1, 3] += y
     wide = anatomy_of(urdf)
     found = adopt(written(tmp_path, urdf), tmp_path / "out").anatomy
-    assert found.apart == pytest.approx(0.75 * wide.apart, rel=1e-3)
+    assert found.apart == pytest.approx(0.87 * wide.apart, rel=1e-3)
     assert any(entry.what == "distance of the soles" and "limits" in entry.source for entry in found.evidence)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("limit", "part"), [(0.36, 0.87), (0.4, 1.0)])
+def test_the_com_reaches_the_middle_of_a_sole_where_a_distance_of_the_soles_allows_it(
+    limit: float, part: float, tmp_path: Path
+) -> None:
+    """Near enough to be accepted are also wider distances, from which the phases of the walk would not end."""
+    urdf = Urdf.load(narrowed(tmp_path, ankle_roll=limit, hip_roll=limit))
+    for side, y in (("l", 0.03), ("r", -0.03)):
+        urdf.joints[f"{side}_hip_yaw"].origin[1, 3] += y
+    wide = anatomy_of(urdf)
+    found = adopt(written(tmp_path, urdf), tmp_path / "out")
+    assert found.anatomy.apart == pytest.approx(part * wide.apart, rel=1e-3)
+    misses = [posture.over_one_foot(found.model, found.anatomy, found.numbers.standing, foot)[1] for foot in Foot]
+    assert max(misses) < 0.1 * found.config.standing.com_threshold
 
 
 def test_legs_that_touch_or_cannot_move_sideways_stand_no_closer() -> None:
     found = replace(anatomy_of(Urdf.load(SMALL)), apart=0.16)
-    assert distances(found) == [0.16, 0.12]  # 0.08 would be less than the width of a sole
+    assert distances(found) == [0.16, 0.1392, 0.12, 0.0992]  # 0.08 would be less than the width of a sole
     assert distances(replace(found, sideways=False)) == [0.16]
 
 
@@ -522,6 +538,15 @@ def test_the_knees_of_a_posture_are_bent_further_than_where_their_range_begins()
     assert (np.abs(found.q[["knee" in name for name in model.joint_names]]) > 0.7).all()
 
 
+def test_knees_behind_the_legs_are_bent_beyond_the_straight_leg() -> None:
+    """A knee 40 mm behind the line from hip to ankle, as of MH5: at its angle of zero the leg is bent backward."""
+    urdf = Urdf.load(SMALL)
+    for side in "lr":
+        moved(urdf, f"{side}_shank", at([-0.04, 0.0, 0.0]))
+    model, anatomy = small_model(urdf), anatomy_of(urdf)
+    assert stand(model, anatomy).knee > 0.0
+
+
 def test_bent_legs_are_preferred_to_stretched_ones_with_smaller_angles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Knees in front of the line from hip to ankle are in front of stretched legs as well, where a search ends too."""
     model = small_model(Urdf.load(SMALL))
@@ -540,6 +565,16 @@ def test_efforts_too_small_to_stand_are_replaced_and_named(tmp_path: Path) -> No
     assert limits["l_knee"] == 4.1
     assert sum("'l_ankle_roll' has an effort limit of 0.1 N m, too little" in text for text in found.repairs) == 1
     assert found.config.servo.torque_scale == 1.0
+
+
+def test_joints_with_the_limit_that_is_too_little_for_others_have_their_servos(tmp_path: Path) -> None:
+    """0.35 N m in all hips: enough for the yaw joints, but it is not the limit of any of these servos."""
+    hips = r'(name="._hip.*?effort=)"[^"]*"', r'\1"0.35"'
+    found = adopt(edited(tmp_path, SMALL, hips), tmp_path / "out")
+    limits = dict(zip(found.model.joint_names, found.model.effort_max, strict=True))
+    assert limits["l_hip_yaw"] == limits["r_hip_pitch"] == limits["l_hip_roll"] > 1.0
+    assert limits["l_knee"] == 4.1
+    assert any("'l_hip_yaw' has an effort limit of 0.35 N m, too little" in text for text in found.repairs)
 
 
 def test_the_yaw_joint_of_a_stance_leg_holds_the_body_while_the_other_leg_swings(tmp_path: Path) -> None:
