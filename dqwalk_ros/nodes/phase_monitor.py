@@ -81,7 +81,6 @@ class PhaseMonitor(WalkNode):
         self._fall = FallCause(self, self._phases)
         self._fallen_at = math.inf  # time of receipt [s]
         self._cause = ""  # of the fall
-        self._newest = 0  # stamp of the last state that was or will be evaluated [ns]
         self._next = -1  # earliest stamp of the next one [ns]
         self._waiting: deque[tuple[float, int, JointState]] = deque()  # time of receipt [s], stamp [ns], message
         self._received = self.steady()
@@ -107,7 +106,7 @@ class PhaseMonitor(WalkNode):
             self.get_logger().error(f"joint_states rejected: {error}", **throttled())
             return
         self._fall.add_state(raw)
-        if self._newest <= stamp < self._next:
+        if self._phases.newest <= stamp < self._next:
             self._received = self.steady()
             return
         try:
@@ -118,11 +117,13 @@ class PhaseMonitor(WalkNode):
         if self._phases.is_foreign(msg):
             return
         self._received = self.steady()
-        if stamp < self._newest:  # the plant restarted, or its clock was set back
-            self._phases.forget_after(stamp)
-            self._fall.forget()
-            self._waiting.clear()
-        self._newest, self._next = stamp, stamp + round(1e9 / self.config.monitor.rate)
+        match self._phases.register(stamp):
+            case "wrong":
+                return
+            case "set back":
+                self._fall.forget()
+                self._waiting.clear()
+        self._next = stamp + round(1e9 / self.config.monitor.rate)
         self._waiting.append((self._received, stamp, msg))
         self._evaluate_waiting()
 
@@ -186,7 +187,7 @@ class PhaseMonitor(WalkNode):
             return
         self._cause = self._fall.find() or "the cause is not known"
         self.get_logger().error(f"the robot fell; {self._cause}")
-        self._publish_status(self._newest, "ERROR", self._label, {})
+        self._publish_status(max(self._phases.newest, 0), "ERROR", self._label, {})
 
     def _check_timeout(self) -> None:
         self._evaluate_waiting()
@@ -196,7 +197,7 @@ class PhaseMonitor(WalkNode):
             self._timeout_published = now
             label = f"{self._label}; " if self._phases.label else ""
             over = self._phases.label in (FINISHED, "idle", "paused")
-            self._publish_status(self._newest, "OK" if over else "STALE", f"{label}no joint_states", {})
+            self._publish_status(max(self._phases.newest, 0), "OK" if over else "STALE", f"{label}no joint_states", {})
 
     def _publish_status(self, stamp: int, level: str, message: str, values: dict[str, object]) -> None:
         name = self._phases.model.name if self._phases.model else ""

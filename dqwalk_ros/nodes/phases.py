@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
@@ -16,6 +16,7 @@ from dqwalk_ros.config import Config, applies_from, from_yaml, to_yaml
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
+from dqwalk_ros.nodes.safety import ClockSteps
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.walk import com_target
@@ -32,6 +33,8 @@ _KEPT = 100
 """Number of phases that are stored."""
 _MEASURED = 5000
 """Number of messages of the inertial sensor that are stored; in lockstep a thousand arrive in a second."""
+_FAR = 5_000_000_000
+"""Time ahead of the last state from which on a stamp may be wrong [ns]."""
 _OLD = 0.5
 """Age from which on a measured vertical is not used [s]."""
 
@@ -103,6 +106,8 @@ class PhaseLog:
     reader : JointReader or None
     label : str
         Last message of `phase`.
+    newest : int
+        Stamp of the newest state [ns]; -1 before the first.
     """
 
     def __init__(self, node: WalkNode) -> None:
@@ -117,6 +122,7 @@ class PhaseLog:
         self._assessors: dict[int, Assessor] = {}
         self._imu: deque[bytes] = deque(maxlen=_MEASURED)  # those that no state has needed yet
         self._vertical: tuple[int, Array | None] = (0, None)  # stamp [ns], unit vector in the sensor's frame
+        self.newest, self._steps = -1, ClockSteps()
         node.listen(Imu, "imu", self._on_imu, _MEASURED, raw=True)
         for name, callback in {
             "walk_config": self._on_config,
@@ -215,8 +221,24 @@ class PhaseLog:
         """Return the start stamps of the phases in the interval (after, until] [ns], in order."""
         return sorted(key for key in self._starts if after < key <= until)
 
-    def forget_after(self, stamp: int) -> None:
-        """Drop the phases that began after a stamp [ns] and the measurements, because time was set back."""
+    def register(self, stamp: int) -> Literal["follows", "wrong", "set back"]:
+        """Return what the stamp of a state [ns] is: a single wrong one, or of a plant or clock that was set back.
+
+        In the latter case the phases after it are dropped.
+        """
+        apart = stamp - self.newest if self.newest >= 0 else 0
+        if 0 <= apart <= _FAR:
+            self._steps.forget()
+        elif not self._steps.is_one(stamp):
+            return "wrong"
+        self.newest = stamp
+        if apart >= 0:
+            return "follows"
+        self._forget_after(stamp)
+        return "set back"
+
+    def _forget_after(self, stamp: int) -> None:
+        """Drop the phases that began after a stamp [ns] and the measurements."""
         self._imu.clear()
         for table in (self._starts, self._targets, self._assessors, self._tuned):
             for key in [key for key in table if key > stamp]:

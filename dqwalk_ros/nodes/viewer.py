@@ -85,7 +85,6 @@ class Viewer(WalkNode):
         self._origin = 0  # zero of the time shown: start of the first phase received [ns]
         self._x_odom_base = DQ(1.0).vec8()
         self._state: JointState | None = None  # to be shown next
-        self._newest = -1  # [ns]
         self._states: dict[int, Array] = {}  # pelvis poses by stamp [ns], until base_pose is received
         self._solver = ""
         self._impulse = 0.0  # default of the push buttons [N s]
@@ -125,10 +124,11 @@ class Viewer(WalkNode):
 
     def _follow(self, stamp: int) -> bool:
         """Advance to the phase at a state's stamp [ns], through all phases before it; return whether it is known."""
-        if stamp < self._newest:  # the plant restarted, or its clock was set back
-            self._phases.forget_after(stamp)
-            self._restart()
-        self._newest = stamp
+        match self._phases.register(stamp):
+            case "wrong":
+                return False
+            case "set back":
+                self._restart()
         for began in self._phases.begun(self._began, stamp):
             found = self._phases.at(began)
             if found is None:

@@ -156,6 +156,32 @@ def test_monitor_and_viewer_ignore_invalid_messages(make: Any) -> None:
     viewer.node.close()
 
 
+def test_monitor_and_viewer_keep_the_phase_through_single_wrong_stamps(make: Any) -> None:
+    """They forget it when time was set back, which three states tell."""
+    walk, monitor = make("controller", PAPER), make("phase_monitor", PAPER)
+    viewer = make("viewer", PAPER, "--port", "0")
+    walk.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 5.0))
+    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
+        for one in (monitor, viewer):
+            one.send(topic, walk.got[topic][-1])
+
+    def shown(stamp: float) -> bool:
+        before, evaluated = viewer.node.page.shown, len(monitor.got["diagnostics"])
+        monitor.send("joint_states", serialized_state(stamp))
+        viewer.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), stamp))
+        viewer.node._show()
+        both = viewer.node.page.shown > before, len(monitor.got["diagnostics"]) > evaluated
+        assert both[0] is both[1]
+        return both[0]
+
+    assert shown(5.0)
+    for stamp, wrong in ((6.0, 0.0), (7.0, 3.0), (8.0, 2e9)):
+        assert not shown(wrong)
+        assert shown(stamp)
+    assert [shown(t) for t in (1.0, 1.2, 1.4, 1.6)] == [False] * 4  # the phase began later
+    viewer.node.close()
+
+
 # ---------------------------------------------------------------------- controller, plant
 
 

@@ -554,7 +554,7 @@ def test_the_monitor_uses_the_measured_vertical(make: Any) -> None:
     np.testing.assert_allclose(log.up(7 * 10**9 + 1000), [0.0, np.sin(0.14), np.cos(0.14)], atol=1e-12)
     np.testing.assert_allclose(log.up(7 * 10**9 + 2000), [0.0, np.sin(0.14), np.cos(0.14)], atol=1e-12)
     assert log.up(7 * 10**9 + 6 * 10**8) is None
-    log.forget_after(7 * 10**9)
+    log._forget_after(7 * 10**9)
     assert log.up(8 * 10**9) is None
 
 

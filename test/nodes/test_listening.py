@@ -92,7 +92,7 @@ def test_monitor_and_viewer_hear_best_effort_publishers(make: Any, robots: Any, 
     heard = one.node._phases
     robot.until(one, lambda: len(heard._imu) > 5)
     if name == "phase_monitor":
-        robot.until(one, lambda: one.node._newest > 0)
+        robot.until(one, lambda: one.node._phases.newest > 0)
 
 
 def test_the_quality_of_service_can_be_set(make: Any, tmp_path: Path) -> None:
