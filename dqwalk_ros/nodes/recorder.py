@@ -185,8 +185,6 @@ class Recorder(WalkNode):
 
     def _flush(self) -> None:
         try:
-            if not self._path.exists():
-                raise OSError("its folder was removed")
             flush(self._writer)
         except (OSError, WriterError) as error:
             self.get_logger().error(f"cannot write '{self._path}': {error}")
@@ -211,6 +209,7 @@ class Recorder(WalkNode):
         try:
             for name, data in self._early:  # no state was received: keep the other messages
                 self._write(name, 0, data)
+            flush(self._writer)
             self._writer.close()
         except (OSError, WriterError) as error:
             log.error(f"'{self._path}' is incomplete; `dqwalk report` reads the part on the disk: {error}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import struct
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from full_disk import limited_file_size
 from geometry_msgs.msg import PoseStamped
 from inside import state
 from rclpy.serialization import serialize_message
+from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -97,15 +97,23 @@ def test_commands_read_long_before_their_states_are_recorded_at_their_stamps(mak
     np.testing.assert_array_equal(found, np.round(1e9 * stamps).astype(np.int64))
 
 
-def test_the_recorder_reports_a_deleted_folder(make: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "again", "error"), [("bag", "", "No such file"), ("bag/bag.mcap", "bag/bag.mcap", "was replaced")]
+)
+def test_the_recorder_reports_a_deleted_recording(make: Any, tmp_path: Path, name: str, again: str, error: str) -> None:
+    """Within a second, and with exit code 1 also if it ends before."""
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
     one.send("joint_states", serialized_state(1.0))
     one.node._flush()
-    shutil.rmtree(tmp_path / "bag")
-    one.node._flush()
-    assert "its folder was removed" in one.log
-    assert one.node.done.result() == 1
-    one.node.close()
+    (tmp_path / name).rename(tmp_path / "elsewhere")
+    if again:
+        (tmp_path / again).touch()
+    for ends in (one.node._flush, one.node.close):
+        one.log.lines.clear()
+        one.node.done = Future()
+        ends()
+        assert error in one.log
+        assert one.node.done.result() == 1
 
 
 def test_the_recorder_reports_a_full_disk_and_keeps_the_recording(make: Any, tmp_path: Path) -> None:

@@ -92,11 +92,21 @@ def connect(writer: Writer, name: str, topic: Topic) -> Connection:
 
 
 def flush(writer: Writer) -> None:
-    """Write the buffered messages of an open writer to the file, so that they survive a kill of the process."""
+    """Write the buffered messages of an open writer to the file, so that they survive a kill of the process.
+
+    Raises
+    ------
+    OSError
+        If they cannot be written, or the file was removed or replaced.
+    """
     storage: Any = writer.storage  # rosbags buffers up to a megabyte, which is many seconds of walking
-    if storage is not None and storage.chunk.msgs:
+    if storage is None:
+        return
+    if storage.chunk.msgs:
         storage.close_chunk()
         storage.bio.flush()
+    if not os.path.samestat(os.stat(storage.bio.name), os.fstat(storage.bio.fileno())):
+        raise OSError("its file was replaced")
 
 
 def refuse_other(path: str | os.PathLike[str]) -> None:
