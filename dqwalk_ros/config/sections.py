@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -657,6 +658,10 @@ class Config:
         ConfigError
             For an unknown name, a wrong type or a value out of bounds.
         """
+        if "physics.imu" in values:
+            values = {"robot.imu" if name == "physics.imu" else name: value for name, value in values.items()}
+            if values["robot.imu"] != "imu":  # the former default, which every older recording contains
+                warnings.warn(f"{source or 'a configuration'}: 'physics.imu' is now 'robot.imu'", stacklevel=2)
         try:
             values = {name: checked(_specs(), name, value) for name, value in values.items()}
         except ConfigError as error:
