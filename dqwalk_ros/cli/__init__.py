@@ -119,7 +119,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except OSError as error:  # a full disk, a folder that cannot be written, ...
-        return _fail(f"{error.strerror or error}{f': {error.filename!r}' if error.filename else ''}", FAILED)
+        where = repr(error.filename) if error.filename else _lost_folder()
+        return _fail(f"{error.strerror or error}{where and f': {where}'}", FAILED)
+
+
+def _lost_folder() -> str:
+    """Return that the current folder was removed; empty if it was not."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return "the current folder was removed; change to another one"
+    return ""
 
 
 def _open_standard_streams() -> None:

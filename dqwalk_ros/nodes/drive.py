@@ -279,6 +279,10 @@ class RobotDrive(WalkNode):
 
     def _diagnose(self) -> None:
         level, text = self._commands.level()
+        if not self.uses_sim_time and self.count_publishers("/clock"):
+            own = "/clock is published, but use_sim_time is false: a simulated robot would move at another speed"
+            self.get_logger().warning(own, **throttled(30.0))
+            level, text = ("WARN", own) if level == "OK" else (level, text)
         values = {"states rejected": self._rejected, "angles rejected": self._law.gate.rejected}
         self.diagnose("plant", self._model.name, level, text, values | self._commands.counts(), max(self._stamp, 0))
 

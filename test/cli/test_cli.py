@@ -261,6 +261,14 @@ def walked(tmp_path_factory):
     return out, shown.getvalue()
 
 
+def test_a_current_folder_that_was_removed_is_named(walked, tmp_path, capsys, monkeypatch):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert cli.main(["report", str(walked[0] / "bag"), "--out", "here", "--no-figures"]) == 1
+    assert "the current folder was removed" in capsys.readouterr().err
+
+
 def test_simulate_writes_bag_report_and_figures(walked):
     out, shown = walked
     names = {"bag", "report.json", "figure7.png", "figure8.png", "figure9.png", "top_view.png"}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from inside import state, until
 from ros2_control import EXTRA, ControllerManager
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
@@ -355,6 +356,15 @@ def test_states_and_commands_without_stamps_move_the_robot(make: Any) -> None:
             one.command(0.1 + 0.001 * k, stamp=0.0)
     speeds = 0.1 + 0.001 * np.arange(3, 23)
     assert one.out[KNEE] - POSTURE[KNEE] == pytest.approx(DT * speeds.sum())
+
+
+def test_a_clock_that_is_not_used_is_named(make: Any) -> None:
+    """Without use_sim_time the goals move for the time that has passed, not for the simulated one."""
+    one = make("drive", POPPY)
+    one.foreign_node("gazebo").create_publisher(Clock, "/clock", 1)
+    until(lambda: one.node.count_publishers("/clock"))
+    one.node._diagnose()
+    assert "/clock is published, but use_sim_time is false" in one.log
 
 
 def test_a_clock_that_steps_back_stops_no_robot(make: Any) -> None:
