@@ -21,7 +21,7 @@ from dqwalk_ros.cli.options import (
     set_option,
 )
 from dqwalk_ros.plants.table import PHYSICS
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError, listed
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -46,6 +46,7 @@ examples:
   dqwalk pushes --config poppy_dynamic_50hz --plant poppy_as_built --tolerance 0.05
   dqwalk pushes --moment standing --directions 16 --set standing.balance=1.0
   dqwalk pushes --config poppy_dynamic --bottle 3          RoboCup: on the spot, from behind and in front
+  dqwalk pushes --config poppy_dynamic --link chest --duration 0.03     an impact on the chest
 """)
 @config_option("poppy")
 @plant_option(PHYSICS, "physics")
@@ -61,6 +62,12 @@ examples:
 @click.option("--directions", metavar="N", type=click.IntRange(1, 360), default=8, help="Directions, evenly spread.")
 @click.option(
     "--duration", metavar="S", type=Real(0.0, 10.0, min_open=True), default=0.1, help="Duration of each push [s]."
+)
+@click.option(
+    "--link",
+    metavar="NAME",
+    show_default="the pelvis",
+    help="Link that is pushed, at its centre of mass, as by a fist.",
 )
 @click.option(
     "--tolerance",
@@ -86,6 +93,7 @@ def pushes(
     directions: int,
     part: float,
     duration: float,
+    link: str | None,
     tolerance: float | None,
     bottle: float | None,
     many: Many,
@@ -94,9 +102,9 @@ def pushes(
 ) -> int:
     """Find the largest push the robot survives.
 
-    Pushes the pelvis of a walking robot in physics, in eight directions, standing on both feet and in the middle of a
-    step on either foot, finds by bisection the impulse at which it falls, and prints the largest impulse survived.
-    Needs MuJoCo: pip install mujoco
+    Pushes the pelvis or another link of a walking robot in physics, in eight directions, standing on both feet and in
+    the middle of a step on either foot, finds by bisection the impulse at which it falls, and prints the largest
+    impulse survived. Needs MuJoCo: pip install mujoco
     """
     from dqwalk_ros.cli.results import prepare_study, write_study
     from dqwalk_ros.report.figures.studies import pushes_figure
@@ -104,6 +112,11 @@ def pushes(
     from dqwalk_ros.studies import pushes as study
 
     made = config_of(config, changes, plant=plant, params=params)
+    model = load_model(made.robot)
+    if link and link not in model.frames:
+        raise ConfigError(f"--link {link}: the links of {model.name} are {listed(model.frames)}")
+    if link and bottle:
+        raise ConfigError("--bottle hits the pelvis: omit --link")
     if bottle:
         if moment == "standing":
             raise ConfigError("--bottle hits a robot that walks on the spot: choose --moment left, right or all")
@@ -111,20 +124,21 @@ def pushes(
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
     moments = (study.MOMENTS[1:] if bottle else study.MOMENTS) if moment == "all" else (moment,)
-    given: dict[str, Any] = {"duration": duration, "part": part, "tolerance": tolerance, "bottle": bottle or 0.0}
+    given: dict[str, Any] = {"duration": duration, "part": part, "tolerance": tolerance}
+    given |= {"bottle": bottle or 0.0, "link": link or ""}
     prepare_study(many, "limits.jsonl", "pushes.csv", "pushes.txt", "pushes.png")
     with many.options("directions") as options:
         found = study.limits(made, many.folder, moments, directions, **given, **options)
     head = ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"]
     rows = [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found]
     by_moment = {_LABELS[key]: [one for one in found if one.moment == key] for key in moments}
-    name = load_model(made.robot).name
     if bottle:
         text = f"{table(found, f'momentum of a bottle of {bottle:g} kg')}\n\n{robocup(found, bottle, made)}"
-        figure = pushes_figure(by_moment, f"{name}: largest momentum of a bottle of {bottle:g} kg survived [N s]")
+        figure = pushes_figure(by_moment, f"{model.name}: largest momentum of a bottle of {bottle:g} kg survived [N s]")
     else:
-        text = table(found, f"impulse of a push of {duration:g} s on the pelvis", study.impulse_scale(made))
-        figure = pushes_figure(by_moment, f"{name}: largest push survived [N s]")
+        where = link or model.pelvis
+        text = table(found, f"impulse of a push of {duration:g} s on {where}", study.impulse_scale(made))
+        figure = pushes_figure(by_moment, f"{model.name}: largest push on {where} survived [N s]")
     write_study(many, "pushes", head, rows, text, figure)
     return 0
 

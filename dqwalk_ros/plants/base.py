@@ -68,8 +68,11 @@ class Plant(ABC):
         """Measurements of the inertial sensor; None without such a sensor."""
         return None
 
-    def push(self, force: ArrayLike) -> None:
-        """Push the pelvis of a simulated robot with `force` (3,) [N] in world axes until the next call."""
+    def push(self, force: ArrayLike, link: str = "") -> None:
+        """Push a link of a simulated robot, by default the pelvis, with `force` (3,) [N] until the next call.
+
+        The force is in world axes, and acts at the centre of mass of the link.
+        """
         raise NotImplementedError
 
     @property

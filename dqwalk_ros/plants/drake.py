@@ -181,9 +181,9 @@ class DrakePlant(EnginePlant):
             raise PlantError(f"the simulation cannot go on: {str(error)[:200]}") from error
         return torque
 
-    def push(self, force: ArrayLike) -> None:
-        """Push the pelvis with `force` (3,) [N] in world axes until the next call."""
-        body, acting = self._bodies[self.model.pelvis], ExternallyAppliedSpatialForce()
+    def push(self, force: ArrayLike, link: str = "") -> None:
+        """Push a link; see `Plant.push`."""
+        body, acting = self._world.GetBodyByName(link or self.model.pelvis), ExternallyAppliedSpatialForce()
         acting.body_index = body.index()
         acting.p_BoBq_B = body.CalcCenterOfMassInBodyFrame(self._context)
         acting.F_Bq_W = SpatialForce(np.zeros(3), np.asarray(force, dtype=np.float64))

@@ -86,9 +86,10 @@ class PhysicsPlant(EnginePlant):
         mujoco.mj_step1(mj, data)
         return torque.take(self._vadr)
 
-    def push(self, force: ArrayLike) -> None:
-        """Push the pelvis with `force` (3,) [N] in world axes until the next call."""
-        self.data.xfrc_applied[self._pelvis_id, :3] = np.asarray(force, dtype=np.float64)
+    def push(self, force: ArrayLike, link: str = "") -> None:
+        """Push a link; see `Plant.push`."""
+        self.data.xfrc_applied[:] = 0.0
+        self.data.xfrc_applied[self.mj.body(link or self.model.pelvis).id, :3] = np.asarray(force, dtype=np.float64)
 
     def _joints(self) -> tuple[Array, Array]:
         return self._qpos.take(self._qadr), self._qvel.take(self._vadr)

@@ -67,6 +67,8 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Interval after which each hand gets a new random pose in the trunk [s]; 0: none. Needs ``arms.joints``.
     push : float
         Impulse of each push [N s], in 8 directions, on either foot, at 4 moments of a step; 0: walks without a push.
+    anywhere : bool
+        Whether each push is on a random link, in a random direction and moment (`Push.anywhere`), one for each seed.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     first: Annotated[int, msgspec.Meta(ge=0, le=10**6)] = 1
     hands: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
     push: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    anywhere: bool = False
 
     def made(self) -> Config:
         """Return the configuration of the walks, without seed and engine.
@@ -164,7 +167,7 @@ def points(rows: Mapping[str, Row], engines: Sequence[str], sample: int = 0) -> 
     out: list[dict[str, Any]] = []
     for name, row in rows.items():
         every: list[dict[str, Any]] = [{"seed": row.first + k} for k in range(row.seeds)]
-        if row.push:
+        if row.push and not row.anywhere:
             every = [
                 {"foot": foot, "direction": 2.0 * math.pi * k / _DIRECTIONS, "part": part}
                 for foot, k, part in itertools.product(("left", "right"), range(_DIRECTIONS), _PARTS)
@@ -179,11 +182,16 @@ def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int
     """Simulate one walk; the index is not used."""
     row, config = rows[point["row"]], configs[point["row"]].updated({"plant.name": point["engine"]})
     try:
+        model = load_model(config.robot)
         if row.push:
-            why = pushed(config, Push(point["foot"], point["direction"], row.push, part=point["part"]))
+            push = (
+                Push.anywhere(row.push, model, point["seed"])
+                if row.anywhere
+                else Push(point["foot"], point["direction"], row.push, part=point["part"])
+            )
+            why = pushed(config, push)
             return Outcome(not why, why)
         config = config.updated({"sensors.seed": point["seed"]})
-        model = load_model(config.robot)
         controller, course = make_controller(config, model), Course.parse(row.cmd_vel)
         orders = [course.steering(controller)] if row.cmd_vel else []
         if row.hands:
@@ -245,7 +253,7 @@ def collect(
     With `force` earlier results are discarded; other options and errors are those of `runner.run`.
     """
     configs, every = {name: row.made() for name, row in rows.items()}, points(rows, engines, sample)
-    walks = [(row.push, row.cmd_vel, configs[name].flat()) for name, row in rows.items()]
+    walks = [(row.push, row.anywhere, row.cmd_vel, configs[name].flat()) for name, row in rows.items()]
     key = digest(next(iter(configs.values())), every, walks)
     store = Store(out / "walks.jsonl", key, every, Outcome, force=force)
     done = run(functools.partial(_evaluate, rows, configs), store, **options)

@@ -1,4 +1,4 @@
-"""What pushes the pelvis: a constant force, or a bottle on a rope, as in the RoboCup Humanoid League."""
+"""What pushes the robot: a constant force, or a bottle on a rope, as in the RoboCup Humanoid League."""
 
 from __future__ import annotations
 

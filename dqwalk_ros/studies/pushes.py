@@ -1,4 +1,4 @@
-"""Finds the largest impulse on the pelvis that the robot survives, for each direction, by bisection.
+"""Finds the largest impulse on a link that the robot survives, for each direction, by bisection.
 
 The impulse is that of a force, or the momentum of a bottle on a rope: the test of push recovery of the RoboCup Humanoid
 League (rules of 2025, part A).
@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -43,13 +43,15 @@ _STANDS = 3.0
 """Time for which the robot must stand after a push in a stance [s]."""
 _LATE = 5.0
 """Longest delay of the stance; without a stance by then the walk is stopped [s]."""
+_LEAST_PART = 0.02
+"""Fraction of the mass that a body has which is pushed anywhere."""
 _FIRST, _MOST, _TOLERANCE = 0.045, 1.5, 0.0036
 """First and largest impulse that are tried, and accuracy of the limit, in units of `impulse_scale`."""
 
 
 @dataclass(frozen=True)
 class Push:
-    """A push on the pelvis: a constant force for some time, or a bottle on a rope.
+    """A push on the pelvis or another link: a constant force for some time, or a bottle on a rope.
 
     Attributes
     ----------
@@ -64,7 +66,9 @@ class Push:
     part : float
         Fraction of the step after which the push begins.
     bottle : float
-        Mass of the bottle [kg]; 0: a constant force.
+        Mass of the bottle [kg], which hits the pelvis; 0: a constant force.
+    link : str
+        The link that the force pushes, at its centre of mass; empty: the pelvis.
     """
 
     moment: str
@@ -73,6 +77,19 @@ class Push:
     duration: float = 0.1
     part: float = 0.5
     bottle: float = 0.0
+    link: str = ""
+
+    @classmethod
+    def anywhere(cls, impulse: float, model: RobotModel, seed: int) -> Self:
+        """Return a push in mid-step of random link, horizontal direction, foot and moment.
+
+        The link is one of the bodies with at least `_LEAST_PART` of the mass.
+        """
+        random = np.random.default_rng(seed)
+        parts = zip(model.links, model.bodies, strict=True)
+        links = [link for link, body in parts if body.mass >= _LEAST_PART * model.mass]
+        foot, link = str(random.choice(MOMENTS[1:])), str(random.choice(links))
+        return cls(foot, random.uniform(0.0, 2.0 * math.pi), impulse, part=random.uniform(0.0, 0.95), link=link)
 
     def load(self, robot_mass: float, dt: float) -> Load:
         """Return what pushes a robot of a mass [kg], with a control period `dt` [s]."""
@@ -150,7 +167,7 @@ def pushed(config: Config, push: Push) -> str:
                 began = state.time
             truth = plant.truth if push.bottle else None
             ahead = float(towards @ DQ(truth.pelvis).translation()) if truth else 0.0
-            plant.push(load.force(ahead, varied.dt) * towards if began <= state.time else np.zeros(3))
+            plant.push(load.force(ahead, varied.dt) * towards if began <= state.time else np.zeros(3), push.link)
             if standing and state.time > min(began, transfer + _LATE) + _STANDS:
                 break
         if plant.fallen:
@@ -183,19 +200,20 @@ def limit(
     duration: float,
     part: float,
     bottle: float,
+    link: str,
     tolerance: float,
     index: int,
     point: Mapping[str, Any],
 ) -> Limit:
     """Find the largest impulse that is survived at the moment and in the direction of `point`, to a tolerance [N s].
 
-    Duration, part and bottle are those of `Push`; the index is not used.
+    Duration, part, bottle and link are those of `Push`; the index is not used.
     """
     scale = impulse_scale(config)
     most = farthest_momentum(bottle) if bottle else _MOST * scale
 
     def fails(impulse: float) -> str:
-        return pushed(config, Push(point["moment"], point["direction"], impulse, duration, part, bottle))
+        return pushed(config, Push(point["moment"], point["direction"], impulse, duration, part, bottle, link))
 
     return Limit(**point, **largest(fails, _FIRST * scale, most, tolerance)._asdict())
 
@@ -209,15 +227,17 @@ def limits(
     duration: float = 0.1,
     part: float = 0.5,
     bottle: float = 0.0,
+    link: str = "",
     tolerance: float | None = None,
     **options: Any,
 ) -> list[Limit]:
     """Find the limit of each of some `MOMENTS` in each of some directions; see `every_limit`.
 
-    Duration, part and bottle are those of `Push`; the tolerance is in [N s], by default 0.36 % of `impulse_scale`.
+    Duration, part, bottle and link are those of `Push`; the tolerance is in [N s], by default 0.36 % of
+    `impulse_scale`.
     """
     tolerance = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
-    settings = (config, duration, part, bottle, tolerance)
+    settings = (config, duration, part, bottle, link, tolerance)
     task = functools.partial(limit, *settings)
     return every_limit(task, settings, out, moments, directions, **options)
 

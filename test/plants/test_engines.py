@@ -125,14 +125,25 @@ def test_a_hanging_joint_answers_the_same(changes: dict[str, Any]) -> None:
     assert abs(moved[0][-1]) > 0.03
 
 
-def test_a_push_changes_the_momentum() -> None:
-    plant = made(DrakePlant)
-    before = plant.truth.com
-    plant.push([0.0, 20.0, 0.0])
-    still(plant, 4)
-    plant.push(np.zeros(3))
-    still(plant, 4)
-    assert 1e-3 < plant.truth.com[1] - before[1] < 0.5 * 20.0 / MODEL.mass * 0.04**2
+def test_a_push_moves_its_link_in_both_engines() -> None:
+    """The lateral joints of the trunk bend to one side if the chest is pushed, to the other one if the pelvis is."""
+    trunk = [MODEL.joint_names.index(name) for name in ("abs_x", "bust_x")]
+    for link, side in (("chest", -1.0), ("", 1.0)):
+        moved, bent = [], []
+        for engine in ENGINES:
+            plant = made(engine)
+            before = plant.truth
+            plant.push([0.0, 20.0, 0.0], link)
+            still(plant, 4)
+            plant.push(np.zeros(3))
+            still(plant, 4)
+            now = plant.truth
+            moved.append(now.com[1] - before.com[1])
+            bent.append(float((now.q - before.q)[trunk].sum()))
+        assert 1e-3 < moved[0] < 0.5 * 20.0 / MODEL.mass * 0.04**2
+        assert moved[1] == pytest.approx(moved[0], rel=0.1)
+        assert bent[0] * side > 0.005
+        assert bent[1] == pytest.approx(bent[0], rel=0.1)
 
 
 def test_a_period_that_is_no_multiple_of_its_step_is_refused() -> None:

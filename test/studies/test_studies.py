@@ -457,6 +457,36 @@ def test_the_bottle_of_robocup_is_measured_by_the_rules(tmp_path, monkeypatch, c
     assert cli.main(["pushes", "--bottle", "3", "--moment", "standing", "--out", str(tmp_path)]) == 2
 
 
+def test_another_link_is_pushed(tmp_path, monkeypatch, capsys):
+    """The link of --link is pushed, and named in the table; one that the robot has not is an error."""
+    monkeypatch.setattr(
+        pushes, "pushed", lambda config, push: "fell" if push.impulse > 0.7 or push.link != "chest" else ""
+    )
+    command = ["pushes", "--jobs", "1", "--moment", "standing", "--directions", "1", "--out", str(tmp_path)]
+    assert cli.main([*command, "--link", "chest"]) == 0
+    shown = capsys.readouterr().out
+    assert "impulse of a push of 0.1 s on chest" in shown
+    assert ">= " not in shown
+    assert "0.7" in shown
+    assert cli.main([*command, "--link", "wing"]) == 2
+    assert "--link wing: the links of poppy_humanoid are" in capsys.readouterr().err
+    assert cli.main([*command, "--link", "chest", "--bottle", "3"]) == 2
+
+
+def test_pushes_anywhere_are_drawn_by_their_seed():
+    """Over all heavy links, both feet, all directions and the whole step."""
+    model = load_model(POPPY.robot)
+    drawn = [pushes.Push.anywhere(0.3, model, seed) for seed in range(300)]
+    assert drawn[7] == pushes.Push.anywhere(0.3, model, 7)
+    heavy = {link for link, body in zip(model.links, model.bodies, strict=True) if body.mass > 0.02 * model.mass}
+    assert {push.link for push in drawn} == heavy
+    assert {push.moment for push in drawn} == {"left", "right"}
+    for values, most in (([push.direction for push in drawn], 2.0 * math.pi), ([push.part for push in drawn], 0.95)):
+        counts, _ = np.histogram(values, 4, (0.0, most))
+        assert counts.sum() == 300
+        assert counts.min() > 45
+
+
 @pytest.mark.parametrize("mass", [3.0, 10.0])
 @pytest.mark.parametrize("dt", [0.0025, 0.005, 0.02])
 def test_a_bottle_loses_the_momentum_that_a_free_body_receives(mass, dt):
@@ -497,7 +527,7 @@ def test_the_impulse_of_a_push_does_not_depend_on_the_period(monkeypatch, durati
     given = []
 
     class Pushed(KinematicPlant):
-        def push(self, force):
+        def push(self, force, link=""):
             given.append(np.asarray(force) * dt)
 
     class Standing:
