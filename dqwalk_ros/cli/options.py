@@ -98,11 +98,28 @@ def plant_option(plants: Sequence[str], default: str) -> Option:
     return click.option("--plant", type=_PlantName(plants), default=default, help=f"{about}; MODULE:CLASS: your own.")
 
 
+class _Folder(click.Path):
+    """Type of an option whose value is a folder; an empty one, of an unset variable, is not the current folder."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path."""
+        if value == "":
+            self.fail("it is empty", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 def folder_option(default: str | None, shown: str = "") -> Option:
     """Return the option --out; `shown` describes a default that depends on another argument."""
-    kind = click.Path(path_type=Path)
     return click.option(
-        "--out", metavar="DIR", type=kind, default=default, show_default=shown or True, help="Folder of the results."
+        "--out",
+        metavar="DIR",
+        type=_Folder(),
+        default=default,
+        show_default=shown or True,
+        help="Folder of the results.",
     )
 
 

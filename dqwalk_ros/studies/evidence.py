@@ -147,7 +147,7 @@ def read(path: str) -> dict[str, Row]:
     ConfigError
         If the file or one of the configurations is invalid.
     """
-    file = Path(path) if Path(path).is_file() else find_share("config", f"{path}.yaml")
+    file = Path(path) if Path(path).is_file() else find_share("config", f"{path.removesuffix('.yaml')}.yaml")
     try:
         read = msgspec.convert(strict_yaml.read(strict_yaml.read_text(file), source=str(file)), _File)
     except msgspec.ValidationError as error:

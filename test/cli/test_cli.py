@@ -60,6 +60,7 @@ def test_help_contains_examples(command, capsys):
         (["fly"], "'fly'; the commands are simulate"),
         (["simulate", "--cycles", "many"], "'many' is not a valid integer"),
         (["simulate", "--cycels", "1"], "'--cycles'"),
+        (["simulate", "--out", ""], "Invalid value for '--out': it is empty"),
         (["report"], "Missing argument 'BAG'; `dqwalk report --help`"),
         (["simulate", "--format", "gif"], "png, pdf or svg"),
         (["movie", "bag", "--between", "1,2,3"], "2 numbers"),
