@@ -1,6 +1,6 @@
 """Write docs/benchmarks.md: run every benchmark and store its output.
 
-python -m benchmark.page [--peers PYTHON] [--out docs/benchmarks.md]
+python -m benchmark.page [--peers PYTHON ...] [--out docs/benchmarks.md]
 python -m benchmark.page --only tick cycle       run these, keep the others
 """
 
@@ -21,9 +21,10 @@ shared machine: compare only figures of one table, and ratios rather than times.
 
 **Peers** are other packages (`benchmark/peers.py`) with the same robot, from the state to the joint velocities. "In
 place" is Pinocchio as an experienced user would write it: preallocated arrays, direct call of the solver. "qpsolvers"
-is a simple first version. Clarabel "in place" uses its default tolerances, without scaling. The error is that of u
-relative to the largest joint velocity; mink, pink and placo use their own tasks for the swing foot, and their error
-shows the difference of their result from that of (U6).
+is a simple first version. roboplan and placo load different versions of Pinocchio, so they run in environments of their
+own, each beside this package. Clarabel "in place" uses its default tolerances, without scaling. The error is that of u
+relative to the largest joint velocity; mink, pink, placo and roboplan use their own tasks for the swing foot, and their
+error shows the difference of their result from that of (U6).
 
 **Nodes**: a late state is one that the plant, which is the benchmark here, could not send on time while the
 controller was working; the bare loop sleeps to the same schedule and does nothing else.
@@ -43,7 +44,9 @@ TITLES = {
 def main() -> None:
     """Run the benchmarks and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--peers", metavar="PYTHON", help="Python of an environment with benchmark/requirements.txt")
+    parser.add_argument(
+        "--peers", nargs="+", metavar="PYTHON", help="Python of each environment of benchmark/requirements.txt"
+    )
     parser.add_argument("--ticks", type=int, default=100_000, help="number of ticks of the long walk")
     parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md")
     parser.add_argument("--only", nargs="+", choices=TITLES, metavar="NAME", help=f"of {', '.join(TITLES)}")
@@ -62,10 +65,13 @@ def main() -> None:
         command = [f"benchmark.{name}", *options.get(name, [])]
         shown = f"python -m {' '.join(command)}"
         print(f"{shown} ...", file=sys.stderr, flush=True)
-        python = args.peers if "--peers" in command else sys.executable
-        out = subprocess.run([python, "-m", *command], capture_output=True, text=True, check=True).stdout
+        pythons = args.peers if "--peers" in command else [sys.executable]
+        outs = [
+            subprocess.run([python, "-m", *command], capture_output=True, text=True, check=True).stdout.strip()
+            for python in pythons
+        ]
         date = datetime.date.today().isoformat()
-        parts.append(f"## {title}\n\n`{shown}` on {date}\n\n{out.strip()}\n\n")
+        parts.append("\n\n".join([f"## {title}", f"`{shown}` on {date}", *outs]) + "\n\n")
     args.out.write_text("".join(parts).rstrip() + "\n", encoding="utf-8")
     print(f"wrote {args.out}", file=sys.stderr)
 

@@ -1,10 +1,10 @@
 """The tick of a phase written with other packages, each as an experienced user would write it.
 
-Except for placo and, in single support, mink and pink, all solve the same quadratic program (U6) as
+Except for placo and, in single support, mink, pink and roboplan, all solve the same quadratic program (U6) as
 `benchmark.peer_adapter`: with the package's kinematics, rows in numpy, and its usual solver. "In place":
 preallocated arrays and a direct call of the solver; "qpsolvers": a simple first version, with new numpy matrices
-passed to the package of that name. mink, pink and placo use their own tasks for the swing foot, so their result in
-single support differs.
+passed to the package of that name. mink, pink, placo and roboplan use their own tasks for the swing foot, so their
+result in single support differs.
 """
 
 from __future__ import annotations
@@ -154,6 +154,32 @@ def clarabel_in_place(rows: Rows) -> Callable[[], Array]:
 # ---------------------------------------------------------------------- packages
 
 
+def pose_in_place(n: int) -> Callable[[float, Array, Array, Array], tuple[Array, Array]]:
+    """Return a function of a unit quaternion w + v, a position p and a Jacobian (6, n), first of p, then of the angles.
+
+    It returns the unit dual quaternion (8,) of the pose and its Jacobian (8, n), in the same two arrays every time.
+    """
+    cross = np.zeros((3, 3))  # p x
+    x, twist, J_x = np.empty(8), np.empty((6, n)), np.empty((8, n))
+    # half of H-(x), times a pure twist, is linear in x: one entry of x with a sign everywhere
+    basis = np.stack([DQ(one).haminus8()[:, _LINE] for one in np.eye(8)])
+    index, sign = np.abs(basis).argmax(axis=0), 0.5 * basis.sum(axis=0)
+
+    def pose(w: float, v: Array, p: Array, J: Array) -> tuple[Array, Array]:
+        x[0], x[1:4] = w, v
+        x[4] = -0.5 * (p @ v)
+        cross[0, 1], cross[0, 2], cross[1, 2] = -p[2], p[1], -p[0]
+        cross[1, 0], cross[2, 0], cross[2, 1] = p[2], -p[1], p[0]
+        x[5:] = 0.5 * (w * p + cross @ v)
+        twist[:3] = J[3:]
+        np.dot(cross, J[3:], out=twist[3:])
+        twist[3:] += J[:3]  # of the point of the foot that is at the world's origin
+        np.dot(sign * x[index], twist, out=J_x)
+        return x, J_x
+
+    return pose
+
+
 def pinocchio(solver: Callable[[Rows], Callable[[], Array]]) -> Callable[[Chain, Walk, str], Tick]:
     """Return a function that makes ticks with Pinocchio's kinematics."""
 
@@ -168,11 +194,7 @@ def pinocchio(solver: Callable[[Rows], Callable[[], Array]]) -> Callable[[Chain,
         # what is fixed to the world has no mass for Pinocchio
         share = chain.mass.sum() / (chain.base_mass + chain.mass.sum())
         rest = (1.0 - share) * chain.base_com
-        cross = np.zeros((3, 3))  # p x
-        x, twist, J_x = np.empty(8), np.empty((6, chain.n)), np.empty((8, chain.n))
-        # half of H-(x), times a pure twist, is linear in x: one entry of x with a sign everywhere
-        basis = np.stack([DQ(one).haminus8()[:, _LINE] for one in np.eye(8)])
-        index, sign = np.abs(basis).argmax(axis=0), 0.5 * basis.sum(axis=0)
+        pose = pose_in_place(chain.n)
 
         def tick(q: Array) -> Array:
             J_com = pin.jacobianCenterOfMass(model, data, q, False)
@@ -187,15 +209,7 @@ def pinocchio(solver: Callable[[Rows], Callable[[], Array]]) -> Callable[[Chain,
                 rows.double_support(q, com, J_com, p, J[:3], T_pelvis.translation, J_pelvis[:3])
             else:
                 r = pin.Quaternion(T.rotation).coeffs()
-                x[0], x[1:4] = r[3], r[:3]
-                x[4] = -0.5 * (p @ r[:3])
-                cross[0, 1], cross[0, 2], cross[1, 2] = -p[2], p[1], -p[0]
-                cross[1, 0], cross[2, 0], cross[2, 1] = p[2], -p[1], p[0]
-                x[5:] = 0.5 * (r[3] * p + cross @ r[:3])
-                twist[:3] = J[3:]
-                np.dot(cross, J[3:], out=twist[3:])
-                twist[3:] += J[:3]  # of the point of the foot that is at the world's origin
-                np.dot(sign * x[index], twist, out=J_x)
+                x, J_x = pose(r[3], r[:3], p, J)
                 rows.single_support(q, com, J_com, x, J_x, T_pelvis.translation, J_pelvis[:3])
             return solve()
 
@@ -581,6 +595,89 @@ def placo(chain: Chain, walk: Walk, phase: str) -> Tick:
     return tick
 
 
+def frax(chain: Chain, walk: Walk, phase: str) -> Tick:
+    """Return the tick with frax: its kinematics in one compiled JAX function, and DAQP in place."""
+    import os
+
+    os.environ.setdefault("JAX_ENABLE_X64", "1")
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # as frax recommends for a CPU
+    import jax
+    import jax.numpy as jnp
+    from frax.core.robot import Robot
+    from frax.utils.rotation_utils import rmat_to_quat_wxyz
+
+    n, rows = chain.n, Rows(chain, walk, phase)
+    solve, dsp, pose = daqp_in_place(rows), phase == "dsp", pose_in_place(n)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.urdf"
+        path.write_text(chain_urdf(chain), encoding="utf-8")
+        robot = Robot(str(path), joint_ordering=chain.names)
+    share = chain.mass.sum() / (chain.base_mass + chain.mass.sum())  # frax omits what is fixed to the world
+    rest = (1.0 - share) * chain.base_com
+    tip, pelvis = np.eye(4), np.eye(4)
+    tip[:3, :3], tip[:3, 3], pelvis[:3, 3] = chain.tip_R, chain.tip_p, chain.pelvis_point
+    above_tip, above_pelvis = np.arange(n), np.arange(chain.pelvis_index + 1)
+
+    @jax.jit
+    def state(q: Any) -> Any:
+        at = robot.joint_to_world_transforms(q)
+        T = robot._frame_transform(at, tip, n - 1)
+        T_pelvis = robot._frame_transform(at, pelvis, chain.pelvis_index)
+        J, J_pelvis = robot._frame_jacobian(at, tip, above_tip), robot._frame_jacobian(at, pelvis, above_pelvis)
+        com = jnp.concatenate([share * robot._center_of_mass(at) + rest, T[:3, 3], T_pelvis[:3, 3]])
+        J_com = share * robot._center_of_mass_jacobian(at)
+        return jnp.concatenate([com, rmat_to_quat_wxyz(T[:3, :3])]), jnp.concatenate([J_com, J, J_pelvis[:3]])
+
+    def tick(q: Array) -> Array:
+        places, jacobians = map(np.asarray, state(q))
+        com, p, p_pelvis, r = places[:3], places[3:6], places[6:9], places[9:]
+        J_com, J, J_pelvis = jacobians[:3], jacobians[3:9], jacobians[9:]
+        if dsp:
+            rows.double_support(q, com, J_com, p, J[:3], p_pelvis, J_pelvis)
+        else:
+            x, J_x = pose(r[0], r[1:], p, J)
+            rows.single_support(q, com, J_com, x, J_x, p_pelvis, J_pelvis)
+        return solve()
+
+    return tick
+
+
+def roboplan(chain: Chain, walk: Walk, phase: str) -> Tick:
+    """Return the tick with roboplan's oink: frame task, joint limits and the barrier of the pelvis; its ProxQP.
+
+    It has no task and no barrier of the CoM, so it has no double support, and single support lacks the cylinder of the
+    CoM.
+    """
+    from roboplan import core, optimal_ik
+
+    if phase == "dsp":
+        raise NotImplementedError("it has no task of the CoM")
+    scene = core.Scene("biped", core.loadUrdfSceneDescriptionFromXml(chain_urdf(chain)))
+    if list(scene.getJointNames()) != chain.names:
+        raise RuntimeError("roboplan orders the joints in another way")
+    settings, goal = optimal_ik.OinkSettings(), np.eye(4)
+    settings.eps_abs, settings.eps_rel = 1e-10, 0.0  # by default it returns the last change again: it is small enough
+    oink = optimal_ik.Oink(scene, settings)
+    goal[:3, :3], goal[:3, 3] = DQ(walk.x_goal).rotation_matrix(), DQ(walk.x_goal).translation()
+    options = optimal_ik.FrameTaskOptions(task_gain=walk.eta * walk.dt)
+    tasks = [optimal_ik.FrameTask(oink, scene, core.CartesianConfiguration("base", "tip", goal), options)]
+    limits = [optimal_ik.PositionLimit(oink, walk.eta_q * walk.dt)]
+    least, most = np.array([-9.0, -9.0, walk.pelvis_height]), np.full(3, 9.0)
+    upwards = optimal_ik.ConstraintAxisSelection(x=False, y=False)
+    barriers = [
+        optimal_ik.PositionBarrier(
+            oink, scene, "pelvis", least, most, walk.dt, upwards, gain=walk.eta_pelvis, safe_displacement_gain=0.0
+        )
+    ]
+    change = np.empty(chain.n)
+
+    def tick(q: Array) -> Array:
+        oink.solveIk(q, tasks, limits, barriers, change, walk.lam**2)
+        return change / walk.dt
+
+    return tick
+
+
 PEERS: dict[str, Callable[[Chain, Walk, str], Tick]] = {
     "pinocchio + daqp, in place": pinocchio(daqp_in_place),
     "pinocchio + quadprog, in place": pinocchio(quadprog_in_place),
@@ -591,5 +688,7 @@ PEERS: dict[str, Callable[[Chain, Walk, str], Tick]] = {
     "placo": placo,
     "mink + quadprog": mink,
     "pink + quadprog": pink,
+    "frax + daqp": frax,
+    "roboplan (oink)": roboplan,
 }
 """Functions of (chain, walk, phase) that return a tick, a function of q that returns u."""

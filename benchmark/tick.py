@@ -71,9 +71,9 @@ def beside(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
         try:
             ticks[name] = make(chain, walk, kind)
             ticks[name](qs[0])
-        except ImportError as error:
+        except (ImportError, NotImplementedError) as error:
             ticks.pop(name, None)
-            missing.append(f"{name} is not here ({error})")
+            missing.append(f"without {name}: {error}")
     errors = {}
     for name, tick in ticks.items():
         answers = [(tick(q), exact(q)) for q in qs[::10]]
@@ -97,7 +97,7 @@ def main() -> None:
     warnings.filterwarnings("ignore", message="Converted matrix")
     packages = ("numpy", "numba", "clarabel", "daqp", "quadprog")
     if args.peers:
-        packages += ("dqrobotics", "pin", "pin-pink", "mink", "placo", "qpsolvers")
+        packages += ("dqrobotics", "pin", "pin-pink", "mink", "placo", "qpsolvers", "frax", "jax", "roboplan")
     print(machine(packages))
     chain = biped()
     walk = walk_of(chain)
