@@ -183,8 +183,8 @@ def _replace_missing(
 ) -> dict[str, pathlib.Path]:
     """Replace meshes that cannot be read by small ones, without which MuJoCo refuses a file; return their files.
 
-    The converted description names the true files, and what reads its shapes says what is missing. Pictures and height
-    fields are replaced as well.
+    The converted description names the true files, and what reads its shapes says what is missing. Pictures, materials
+    and height fields are left out or replaced as well.
     """
     lost = {}
     for mesh in spec.meshes:
@@ -195,6 +195,8 @@ def _replace_missing(
             lost[mesh.name or file.stem] = file
             mesh.name, mesh.file = mesh.name or file.stem, ""
             mesh.uservert, mesh.userface = _TETRAHEDRON, [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]
+    for drawn in (*spec.geoms, *spec.sites, *spec.tendons):
+        drawn.material = ""  # it may be in a file that includes this one
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
     for picture in (*spec.textures, *spec.skins):

@@ -10,6 +10,7 @@ import numpy as np
 
 from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
 from dqwalk_ros.adopt.parameters import Numbers, rounded
+from dqwalk_ros.adopt.servo_choice import Gait, largest_loads, own_servos, step
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.plants.table import make_plant
@@ -24,7 +25,7 @@ from dqwalk_ros.support.errors import DqwalkError
 from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.table import make_controller
 
-__all__ = ["Trial", "cures", "dynamic_walk", "first_walks", "walk"]
+__all__ = ["Trial", "cures", "dynamic_walk", "first_walks", "too_much", "walk"]
 
 
 _LOADED = 0.01
@@ -105,11 +106,30 @@ def first_walks(
 
 
 def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> Trial:
-    """Walk the dynamic walk in physics; its configuration is kept even if the robot falls."""
+    """Walk the dynamic walk in physics; its configuration is kept even if the robot falls.
+
+    Where something is wrong with it, the `note` also says which joint cannot do its steps.
+    """
     config = load(found.folder / "dynamic.yaml")
     model = load_model(config.robot)
     done = walk(config, model, "physics", lambda share, text: progress(share, f"dynamic walk in {text}"))
-    return replace(done, plant="dynamic walk")
+    wrong = "; ".join(text for text in (done.note, too_much(config, model) if done.note else "") if text)
+    return replace(done, plant="dynamic walk", note=wrong)
+
+
+def too_much(config: Config, model: RobotModel) -> str:
+    """Return which joint cannot do a step of a dynamic walk by its speed or torque; empty if each can."""
+    motion, servos = step(config, model, Gait.of(config)), own_servos(config, model)
+    speed, loads = np.abs(motion.velocity).max(axis=0), largest_loads(servos, motion)
+    fast, loaded = int(np.argmax(speed / model.velocity_max)), int(np.argmax(loads))
+    if motion.off:
+        return f"the legs do not reach its steps: {', '.join(motion.stuck) or 'no joint is'} at the limit"
+    if speed[fast] > model.velocity_max[fast]:
+        name, most = model.joint_names[fast], float(model.velocity_max[fast])
+        return f"its steps need {speed[fast]:.2f} rad/s of {name}, whose limit is {most:.2f} rad/s (predicted)"
+    if loads[loaded] > 1.0:
+        return f"its steps need {loads[loaded]:.2f} of the torque-speed line of {model.joint_names[loaded]} (predicted)"
+    return ""
 
 
 def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[float, str], None]) -> Trial:

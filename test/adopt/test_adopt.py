@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt
 from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
+from dqwalk_ros.adopt.trial import too_much
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -227,6 +229,15 @@ def test_the_dynamic_walk_has_the_froude_number_of_its_comment_and_the_drive_of_
     assert config.servo.stiffness == small.config.servo.stiffness
     assert config.servo.window * config.servo.stiffness == pytest.approx(0.03 * small.numbers.mgh, rel=0.05)
     assert config.robot == small.config.robot
+
+
+def test_a_joint_that_cannot_do_the_steps_of_the_dynamic_walk_is_named(small: Adoption) -> None:
+    config, model = load(small.folder / "dynamic.yaml"), small.model
+    assert too_much(config, model) == ""
+    slow = replace(model, velocity_max=0.5 * np.ones(model.n))
+    assert re.fullmatch(
+        r"its steps need [1-9]\.\d+ rad/s of ._knee, whose limit is 0.50 rad/s .*", too_much(config, slow)
+    )
 
 
 def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_steps(tmp_path: Path) -> None:

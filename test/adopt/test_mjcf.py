@@ -185,7 +185,7 @@ def test_pictures_height_fields_and_settings_of_other_versions_are_not_needed(tm
         '<asset><texture name="t" type="2d" file="logo.png"/><material name="logo" texture="t"/>'
         '<hfield name="hills" file="hills.png" size="1 1 1 1"/></asset>'
     )
-    hills = '<geom type="hfield" hfield="hills"/>'
+    hills = '<geom type="hfield" hfield="hills" material="of another file"/>'
     drawn = (r'<geom class="picture" type="sphere"', '<geom class="picture" material="logo" type="sphere"')
     path = edited(tmp_path, (r"<worldbody>", f'{lost}<include file="old.xml"/><worldbody>{hills}'), drawn)
     (tmp_path / "old.xml").write_text(f"<mujoco>{old}</mujoco>")
