@@ -26,6 +26,7 @@ from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import PhaseError, QPError, StateError
 
 __all__ = ["VelocityController"]
@@ -326,11 +327,11 @@ class VelocityController:
                 raise explained(error, problem) from error
 
 
+@jit
 def _within(values: Array, before: Array, most: Array) -> Array:
     """Return the numbers of a command (n,) within their limits, and changed by no more than these in a period.
 
     Walks and pushes stay below; a measurement that is wrong, but possible, is bounded so.
     """
     least, largest = np.maximum(before - most, -most), np.minimum(before + most, most)
-    out: Array = np.minimum(np.maximum(values, least), largest)
-    return out
+    return np.minimum(np.maximum(values, least), largest)
