@@ -28,7 +28,7 @@ examples:
   dqwalk report walk/bag
   dqwalk report walk/bag --out paper --format pdf
   dqwalk report walk/bag --html                            report.html: opens offline, with a replay in 3D
-  dqwalk report walk/bag --compare slower/bag              the two side by side
+  dqwalk report walk/bag --compare slower/bag              comparison.html: the two side by side
   dqwalk report walk/bag --json | jq .walk.margin
   dqwalk report rosbag2_2025_01_31/ --namespace poppy_1
 """)
@@ -37,7 +37,10 @@ examples:
 @walk_option
 @click.option("--html", is_flag=True, help="Also write one offline page: replay, figures, tables.")
 @click.option(
-    "--compare", metavar="BAG", type=click.Path(path_type=Path), help="Another walk, side by side on that page."
+    "--compare",
+    metavar="BAG",
+    type=click.Path(path_type=Path),
+    help="Another walk: write a page of both, side by side.",
 )
 @click.option("--csv", is_flag=True, help="Also write every series to series.csv, a line per state.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON instead of tables.")
@@ -73,12 +76,13 @@ def report(
     place = bag.resolve()
     output = replace(output, out=output.out or place.parent / f"{place.name}_report")
     refuse_inside(bag, output.folder)
-    if html and not output.force:  # a page contains the time of its writing
-        refuse_existing([output.folder / "report.html"])
+    sheet = output.folder / ("comparison.html" if compare else "report.html")
+    if (html or compare) and not output.force:  # a page contains the time of its writing
+        refuse_existing([sheet])
     if bags.is_body(content):
         if compare or csv:
             raise ConfigError("--compare and --csv are not available for whole-body walks")
-        return _body(content, namespace, output, html=html, as_json=as_json)
+        return _body(content, namespace, output, sheet if html else None, as_json=as_json)
     with Progress(quiet=quiet) as bar:
         bar.stage(0.0, "reading")
         trace = bags.read(content, namespace=namespace, walk=walk)
@@ -97,10 +101,10 @@ def report(
     extra = []
     if subjects:
         create(output.folder)
-        extra.append(output.folder / "report.html")
+        extra.append(sheet)
         with Progress(quiet=quiet) as bar:
             bar.stage(0.0, "writing the page")
-            page.write(subjects, extra[0], overwrite=output.force)
+            page.write(subjects, sheet, overwrite=output.force)
     if csv:
         create(output.folder)
         extra.append(_csv(series, output))
@@ -108,8 +112,8 @@ def report(
     return 0 if found["ok"] else 1
 
 
-def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as_json: bool) -> int:
-    """Evaluate and draw a whole-body walk; return the exit code."""
+def _body(bag: Content, namespace: str | None, output: Report, sheet: Path | None, *, as_json: bool) -> int:
+    """Evaluate and draw a whole-body walk, also on one page if its file is given; return the exit code."""
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import create, write_report
     from dqwalk_ros.whole_body import figures as reaching
@@ -126,13 +130,13 @@ def _body(bag: Content, namespace: str | None, output: Report, *, html: bool, as
     demands = checks(walked)
     found = summary(walked, demands) | {"torques_differ_by": off, "notes": list(log.notes)}
     files = []
-    if html:
+    if sheet is not None:
         create(output.folder)
-        files.append(output.folder / "report.html")
+        files.append(sheet)
         differ = f"Recorded and recomputed torques differ by at most {off:.2g} N m."
         with Progress(quiet=quiet) as bar:
             bar.stage(0.0, "writing the page")
-            page.write(files[0], _name(bag.path), walked, demands, [differ, *log.notes], overwrite=output.force)
+            page.write(sheet, _name(bag.path), walked, demands, [differ, *log.notes], overwrite=output.force)
     for note in () if quiet else log.notes:
         print(f"note: {note}", file=sys.stderr)
     table = f"{render_checks(walked, demands)}\nrecorded and recomputed torques differ by at most {off:.2g} N m\n"

@@ -53,6 +53,7 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
     model, legs = load_model(config.robot), Course.parse(course)
     controller = make_controller(config, model)
     body = make_plant(plant, config, model)
+    prepare(output.folder, "report.json", force=output.force)
     with contextlib.ExitStack() as stack:
         feed = None
         if view:
@@ -71,7 +72,6 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
         def progress(done: float, text: str) -> None:
             bar((body.state.time - begin) / legs.duration if course else done, text)
 
-        prepare(output.folder, "report.json", force=output.force)
         with Progress(quiet=output.quiet) as bar:
             trace = simulation.simulate(controller, body, progress=progress, before_step=before_step)
         bag.write(trace, output.folder / "bag")

@@ -24,6 +24,7 @@ from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.config import SHIPPED, Config, from_yaml, load
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.figures.style import new_figure
+from dqwalk_ros.report.viewer import player
 from dqwalk_ros.support.errors import ConfigError
 
 FAST = [word for key, value in SHORT.items() for word in ("--set", f"{key}={value}")]
@@ -260,6 +261,12 @@ def walked(tmp_path_factory):
     with contextlib.redirect_stdout(shown):
         assert cli.main(["simulate", *FAST, "--cycles", "1", "--first", "right", "--out", str(out)]) == 0
     return out, shown.getvalue()
+
+
+def test_a_walk_that_exists_is_refused_before_a_page_is_shown(walked, monkeypatch, capsys):
+    monkeypatch.setattr(player, "Feed", lambda *_: pytest.fail("it is shown"))
+    assert cli.main(["simulate", "--view", "--out", str(walked[0])]) == 1
+    assert "exists already; choose another --out" in capsys.readouterr().err
 
 
 def test_a_current_folder_that_was_removed_is_named(walked, tmp_path, capsys, monkeypatch):

@@ -114,11 +114,21 @@ def test_two_walks_side_by_side(path, tmp_path, one_figure):
     other = tmp_path / "wider"
     bag.write(dataclasses.replace(trace, config=short_config(**{"ssp.com_radius": 0.06})), other)
     cli.main(["report", str(path), "--compare", str(other), "--no-figures", "--quiet", "--out", str(tmp_path / "out")])
-    text = (tmp_path / "out/report.html").read_text()
+    text = (tmp_path / "out/comparison.html").read_text()
     assert "Side by side" in text
     assert "<td>ssp.com_radius</td><td>0.05</td><td>0.06</td>" in text
     assert "id='stage1'" in text
     assert text.count("data:image/svg+xml") == 2
+
+
+def test_a_page_that_exists_is_refused_before_the_walk_is_evaluated(path, tmp_path, monkeypatch, capsys):
+    """That of one walk and that of two are different files."""
+    (tmp_path / "report.html").touch()
+    (tmp_path / "comparison.html").touch()
+    monkeypatch.setattr(bag, "read", lambda *_, **__: pytest.fail("it is read"))
+    for option, name in (("--html", "report.html"), (f"--compare={path}", "comparison.html")):
+        assert cli.main(["report", str(path), option, "--out", str(tmp_path)]) == 1
+        assert f"{name}' exists already" in capsys.readouterr().err
 
 
 def test_a_standing_walk_beside_a_paper_walk(path, tmp_path, one_figure):
@@ -130,7 +140,7 @@ def test_a_standing_walk_beside_a_paper_walk(path, tmp_path, one_figure):
     out = ["--no-figures", "--quiet", "--out", str(tmp_path / "out")]
     code = cli.main(["report", str(tmp_path / "standing"), "--compare", str(path), *out])
     assert code == 1  # the walk did not finish
-    text = (tmp_path / "out/report.html").read_text()
+    text = (tmp_path / "out/comparison.html").read_text()
     assert "stopped before its end" in text
     assert "<td>paper margin</td><td class=n>–</td><td class=n>+" in text
     assert text.count("smallest paper margin") == 1
@@ -167,7 +177,7 @@ def test_names_are_escaped(path, tmp_path, one_figure):
     hostile = rewrite(path, tmp_path / "<img src=z>", edit=rename)
     out = ["--no-figures", "--quiet", "--out", str(tmp_path / "out")]
     cli.main(["report", str(hostile), "--compare", str(path), *out])
-    text = (tmp_path / "out/report.html").read_text()
+    text = (tmp_path / "out/comparison.html").read_text()
     assert "<img src=" not in re.sub(r"<img alt=[^>]*>", "", text)
     assert "&lt;img src=x" in text
     assert "&lt;img src=y" in text
