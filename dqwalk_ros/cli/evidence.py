@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import math
 import statistics
 from collections import Counter
@@ -12,6 +13,7 @@ import click
 
 from dqwalk_ros.cli.options import Many, command, many_options
 from dqwalk_ros.plants.table import PHYSICS
+from dqwalk_ros.support.errors import ConfigError, listed
 from dqwalk_ros.support.text_table import aligned, without_numbers
 
 if TYPE_CHECKING:
@@ -43,6 +45,7 @@ examples:
   dqwalk evidence arms                                           free arms, loads, and random poses of the hands
   dqwalk evidence --sample 2                                     a sample: two walks of each row in each engine
   dqwalk evidence --engine physics --jobs 8                      without Drake
+  dqwalk evidence --engine drake --row '5 m MX*'                 some rows only
   dqwalk evidence mine.yaml --scheduler tcp://127.0.0.1:8786
 """)
 @click.argument("path", metavar="[ROWS.yaml]", default="evidence")
@@ -55,6 +58,14 @@ examples:
     help="Physics engine; may be repeated.",
 )
 @click.option(
+    "--row",
+    "wanted",
+    metavar="NAME",
+    multiple=True,
+    show_default="all",
+    help="Rows of this name, in which '*' matches any text; may be repeated.",
+)
+@click.option(
     "--sample",
     metavar="N",
     type=click.IntRange(0),
@@ -63,7 +74,7 @@ examples:
     help="Walks of each row that are simulated.",
 )
 @many_options("evidence")
-def evidence(path: str, engines: tuple[str, ...], sample: int, many: Many) -> int:
+def evidence(path: str, engines: tuple[str, ...], wanted: tuple[str, ...], sample: int, many: Many) -> int:
     """Simulate what the tables of results claim, in two engines.
 
     Prints for every row and engine, MuJoCo and Drake, how many walks stood and how many reports are OK, each with the
@@ -73,6 +84,11 @@ def evidence(path: str, engines: tuple[str, ...], sample: int, many: Many) -> in
     from dqwalk_ros.studies import evidence as study
 
     rows = study.read(path)
+    for name in wanted:
+        if not fnmatch.filter(rows, name):
+            raise ConfigError(f"--row {name}: the rows are {listed(rows)}")
+    if wanted:
+        rows = {name: row for name, row in rows.items() if any(fnmatch.fnmatchcase(name, text) for text in wanted)}
     prepare_study(many, "walks.jsonl", "evidence.csv", "evidence.txt")
     with many.options("walks", lambda last: f"; the last one {'stood' if last.stood else 'fell'}") as options:
         done = study.collect(rows, engines, many.folder, sample=sample, **options)

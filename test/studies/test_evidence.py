@@ -105,6 +105,18 @@ def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: py
     assert "none.yaml" in capsys.readouterr().err
 
 
+def test_rows_are_chosen_by_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[str] = []
+    monkeypatch.setattr(evidence, "collect", lambda rows, *_, **__: given.extend(rows) or [])
+    rows = ["--row", "pushes*s", "--row", "dynamic walk"]
+    assert cli.main(["evidence", *rows, "--out", str(tmp_path)]) == 0
+    assert given == ["dynamic walk", "pushes of 0.50 N s", "pushes of 0.60 N s", "pushes of 0.30 N s at 0.30 m/s"]
+    assert cli.main(["evidence", "--row", "standing", "--out", str(tmp_path)]) == 2
+    assert "--row standing: the rows are " in capsys.readouterr().err
+
+
 def test_a_row_with_cmd_vel_is_steered_and_ends_after_its_course(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shapes that MuJoCo cannot read do not spoil the walk."""
     mesh = '<collision><geometry><mesh filename="none.stl"/></geometry></collision></link>'
