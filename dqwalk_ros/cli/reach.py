@@ -41,8 +41,7 @@ writes to the folder of --out:
 examples:
   dqwalk reach                                             both tests of the paper
   dqwalk reach --pushes --plant both                       the largest push survived, in MuJoCo and on rigid ground
-  dqwalk reach --test 1 --target 0.8,-0.3,0.9              a target of your own
-  dqwalk reach --test 1 --push 2.5,0,20,0                  another push: 20 N s to the left at 2.5 s
+  dqwalk reach --test 1 --target 0.8,-0.3,0.9 --push 2.5,0,15,0     and pushed to the left by 15 N s at 2.5 s
   dqwalk reach --test 1 --set whole_body.capturability=false --duration 3     it falls
   dqwalk report reach/bag_1 --html                         look at the walk: replay in 3D, figures, table
 """)
