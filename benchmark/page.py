@@ -22,9 +22,10 @@ shared machine: compare only figures of one table, and ratios rather than times.
 **Peers** are other packages (`benchmark/peers.py`) with the same robot, from the state to the joint velocities. "In
 place" is Pinocchio as an experienced user would write it: preallocated arrays, direct call of the solver. "qpsolvers"
 is a simple first version. roboplan and placo load different versions of Pinocchio, so they run in environments of their
-own, each beside this package. Clarabel "in place" uses its default tolerances, without scaling. The error is that of u
-relative to the largest joint velocity; mink, pink, placo and roboplan use their own tasks for the swing foot, and their
-error shows the difference of their result from that of (U6).
+own, each beside this package; roboplan is C++ throughout, and its single support lacks the cylinder of the CoM.
+Clarabel "in place" uses its default tolerances, without scaling. The error is that of u relative to the largest joint
+velocity; mink, pink, placo and roboplan use their own tasks for the swing foot, and their error shows the difference of
+their result from that of (U6).
 
 **Nodes**: a late state is one that the plant, which is the benchmark here, could not send on time while the
 controller was working; the bare loop sleeps to the same schedule and does nothing else.

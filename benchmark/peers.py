@@ -599,10 +599,11 @@ def frax(chain: Chain, walk: Walk, phase: str) -> Tick:
     """Return the tick with frax: its kinematics in one compiled JAX function, and DAQP in place."""
     import os
 
-    os.environ.setdefault("JAX_ENABLE_X64", "1")
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # as frax recommends for a CPU
     import jax
     import jax.numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
     from frax.core.robot import Robot
     from frax.utils.rotation_utils import rmat_to_quat_wxyz
 

@@ -66,14 +66,16 @@ def beside(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
     exact = make_daqp(chain, walk, kind)
     qs = states(exact, walk)
     ticks: dict[str, Tick] = {name: make(chain, walk, kind) for name, make in OURS.items()}
-    missing = []
+    absent, unable = list[str](), list[str]()
     for name, make in PEERS.items():
         try:
             ticks[name] = make(chain, walk, kind)
             ticks[name](qs[0])
-        except (ImportError, NotImplementedError) as error:
+        except ImportError:
             ticks.pop(name, None)
-            missing.append(f"without {name}: {error}")
+            absent.append(name)
+        except NotImplementedError as error:
+            unable.append(f"Without {name}: {error}.")
     errors = {}
     for name, tick in ticks.items():
         answers = [(tick(q), exact(q)) for q in qs[::10]]
@@ -85,7 +87,8 @@ def beside(chain: Chain, walk: Walk, kind: str, rounds: int) -> str:
         for name, t in sorted(times.items(), key=lambda item: item[1].median)
     ]
     header = ["tick", "us", "ours with Clarabel / it", "ours with DAQP / it", "error, relative"]
-    return "\n\n".join([table(header, rows), *missing])
+    missing = [f"Not installed in this environment: {'; '.join(absent)}."] if absent else []
+    return "\n\n".join([table(header, rows), *unable, *missing])
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ medians over the rounds of the ratio within a round.
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"):
@@ -93,12 +94,10 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def machine(packages: Sequence[str] = ("numpy", "numba", "clarabel", "daqp")) -> str:
-    """Return the processor, the load and the versions, in one line."""
+    """Return the processor, the load and the versions of what is installed, in one line."""
     versions = [f"Python {platform.python_version()}"]
     for package in packages:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             versions.append(f"{package} {metadata.version(package)}")
-        except metadata.PackageNotFoundError:
-            versions.append(f"{package} missing")
     load = os.getloadavg()[0]
     return f"{provenance.machine()['processor']}, load {load:.1f}; {', '.join(versions)}"
