@@ -219,9 +219,9 @@ def _weak(
 ) -> dict[str, float]:
     """Return the joints of both legs that are too weak, with effort limits to assume [N m]; see `Numbers`.
 
-    A joint needs `RESERVE` times the torque `needed` to stand on one foot [N m], the same of that against `turning`
-    [N m], and each joint below the knee what moves the pressure by the parts `PRESSURE` of the sole from its middle.
-    Joints with the limit of one that is too weak have the same servo, or a limit that is none.
+    A joint needs `RESERVE` times the larger of the torques `needed` to stand on one foot and `turning` to keep the body
+    from turning [N m], and each joint below the knee what moves the pressure by the parts `PRESSURE` of the sole from
+    its middle. Other joints of the legs with the same limit as one that is too weak are taken to be too weak, too.
     """
     sole, load, out = model.soles[Foot.LEFT], model.mass * GRAVITY, dict[str, float]()
     arms = np.array([PRESSURE[1] * sole.width, PRESSURE[0] * sole.length, 0.0])

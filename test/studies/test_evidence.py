@@ -105,6 +105,19 @@ def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: py
     assert "none.yaml" in capsys.readouterr().err
 
 
+def test_a_push_anywhere_is_that_of_its_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[evidence.Push] = []
+    monkeypatch.setattr(evidence, "pushed", lambda config, push: given.append(push) or "fell")
+    rows = {name: row for name, row in read("evidence").items() if row.anywhere}
+    configs = {name: row.made() for name, row in rows.items()}
+    every = points(rows, ["physics"])
+    assert len(every) == 100
+    for point in every[:5]:
+        assert not evidence._evaluate(rows, configs, 0, point).stood
+    model = load_model(next(iter(configs.values())).robot)
+    assert given == [evidence.Push.anywhere(0.3, model, point["seed"]) for point in every[:5]]
+
+
 def test_rows_are_chosen_by_their_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -523,11 +523,15 @@ def test_a_small_push_is_survived_and_a_large_one_is_not():
 
 @pytest.mark.parametrize(("duration", "dt"), [(0.1, 0.005), (0.1, 0.03), (0.012, 0.005), (0.001, 0.005)])
 def test_the_impulse_of_a_push_does_not_depend_on_the_period(monkeypatch, duration, dt):
-    """The integral of the force over the ticks is the impulse, also if the duration is no multiple of the period."""
+    """The integral of the force over the ticks is the impulse, also if the duration is no multiple of the period.
+
+    It acts on the link of the push.
+    """
     given = []
 
     class Pushed(KinematicPlant):
         def push(self, force, link=""):
+            assert link == "chest"
             given.append(np.asarray(force) * dt)
 
     class Standing:
@@ -543,7 +547,7 @@ def test_the_impulse_of_a_push_does_not_depend_on_the_period(monkeypatch, durati
     monkeypatch.setattr(pushes, "make_plant", lambda name, config, model: Pushed(model, np.zeros(model.n)))
     monkeypatch.setattr(pushes, "_due", lambda controller, time, number, part: time > 0.1)
     monkeypatch.setattr(pushes, "_STANDS", 0.3)
-    assert not pushes.pushed(POPPY.updated({"dt": dt}), pushes.Push("standing", 0.0, 2.0, duration))
+    assert not pushes.pushed(POPPY.updated({"dt": dt}), pushes.Push("standing", 0.0, 2.0, duration, link="chest"))
     assert sum(given) == pytest.approx([2.0, 0.0, 0.0])
 
 
