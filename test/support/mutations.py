@@ -1,7 +1,7 @@
 """Changes each safety-relevant line, one at a time, and checks whether a test fails (`make mutation`).
 
 A mutant is one changed operator, number or function of a file. Its tests run in a child process that uses the changed
-file instead of the original. Surviving mutants are listed; docs/faults.md explains them, or a test is missing.
+file instead of the original. Surviving mutants are listed; docs/results/faults.md explains them, or a test is missing.
 
 Usage: python test/support/mutations.py [--every N] [--only TEXT] [--again OUTPUT] [FILE ...]
 """
