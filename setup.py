@@ -82,9 +82,9 @@ setup(
     ],
     entry_points={
         "console_scripts": [
-            "dqwalk = dqwalk_ros.cli:main",
+            "dqwalk = dqwalk_ros.programs:dqwalk",
             # beside the scripts of colcon, `ros2 run` would offer each node twice
-            *(f"dqwalk_{node} = dqwalk_ros.nodes.command_line:script" for node in NODES if not COLCON),
+            *(f"dqwalk_{node} = dqwalk_ros.programs:node" for node in NODES if not COLCON),
         ]
     },
     install_requires=[

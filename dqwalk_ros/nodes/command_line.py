@@ -123,9 +123,9 @@ def main(name: str, argv: Sequence[str]) -> int:
     argv : sequence of str
         Without the program's name.
     """
-    options = parse(name, argv)  # help and usage errors need no ROS
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # an import may lose a KeyboardInterrupt; later `wheels.init`
+    options = parse(name, argv)  # help and usage errors need no ROS
     module, _, kind = NODES[name].partition(":")
     try:
         check_ros_environment()

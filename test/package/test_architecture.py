@@ -29,6 +29,7 @@ RINGS = (
     "nodes",
     "whole_body",
     "cli",
+    "programs",
 )
 """From the top down: folders of the package, and the files on its root floor."""
 

@@ -1,9 +1,13 @@
-"""Ctrl-C in the middle of a walk."""
+"""Ctrl-C in the middle of a walk, and at the start of a program."""
 
 from __future__ import annotations
 
 import itertools
+import os
 import signal
+import subprocess
+import sys
+from pathlib import Path
 from unittest import mock
 
 import numpy as np
@@ -16,6 +20,7 @@ from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.simulation import closed_loop, simulate
 from dqwalk_ros.walks.table import make_controller
 
+ROOT = Path(__file__).resolve().parents[2]
 PAPER = load("paper")
 
 
@@ -81,3 +86,16 @@ def test_an_interrupt_within_a_compiled_function_is_a_keyboard_interrupt(error, 
 def test_no_trial_begins_after_an_interrupt():
     with pytest.raises(KeyboardInterrupt):
         trial.walk(PAPER, legs(), "integrator", lambda *_: signal.raise_signal(signal.SIGINT))
+
+
+@pytest.mark.parametrize(("program", "imported"), [("bin/dqwalk", "click"), ("scripts/controller", "msgspec")])
+def test_an_interrupt_while_a_program_imports_its_modules_ends_it_silently(program, imported, tmp_path):
+    (tmp_path / f"{imported}.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    done = subprocess.run(
+        [sys.executable, ROOT / program, "--help"],
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"},
+        capture_output=True,
+        check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, b"", b"")
