@@ -25,7 +25,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.errors import StateError, shown
 
 __all__ = ["CHECKS", "Result", "examine"]
 
@@ -218,7 +218,9 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
         )
     msg = heard.imus[-1][0]
     if not ros.is_frame_of(model.imu_link, msg.header.frame_id):
-        raise Failed(f"its frame is '{msg.header.frame_id}', and robot.imu is '{model.imu_link}': they must agree")
+        raise Failed(
+            f"its frame is '{shown(msg.header.frame_id)}', and robot.imu is '{model.imu_link}': they must agree"
+        )
     try:
         up, gyro, _ = ros.inertial_of(msg)
     except StateError as error:

@@ -313,7 +313,7 @@ class ServoConfig:
     damping: float = parameter(
         0.02, "torque per joint velocity, divided by the stiffness; larger: more lag", "s", 0.0, 1.0
     )
-    torque_scale: float = parameter(0.81, "stall torque over the URDF's effort (MX-28: 2.5 of 3.1)", "", 0.0, 100.0)
+    torque_scale: float = parameter(0.81, "stall torque over the URDF's effort (MX-28: 2.5 of 3.1)", "", 0.001, 100.0)
     backlash: float = parameter(0.0, "total play of the simulated gears; an MX has 0.0058", "rad", 0.0, 0.1)
     resolution: float = parameter(0.00153, "step size of the commanded position; 0: continuous", "rad", 0.0, 0.1)
     friction: float = parameter(0.02, "dry friction of the simulated gears", "N m", 0.0, 10.0)

@@ -17,7 +17,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.errors import StateError, shown
 from dqwalk_ros.walks.stepping import SteppingWalk
 
 __all__ = ["FootstepInput"]
@@ -74,7 +74,8 @@ class FootstepInput:
         wanted = []
         for k, one in enumerate(msg.poses, start=1):
             if (frame := one.header.frame_id) not in ("", msg.header.frame_id):
-                raise StateError(f"footstep {k} is in the frame '{frame}', the path in '{msg.header.frame_id}'")
+                where = shown(msg.header.frame_id)
+                raise StateError(f"footstep {k} is in the frame '{shown(frame)}', the path in '{where}'")
             wanted.append(ros.checked_pose(one, f"footstep {k}"))
         if (given := msg.header.frame_id) in feet:
             support = feet[given]
@@ -84,7 +85,9 @@ class FootstepInput:
             support = min(Foot, key=lambda foot: self._side_error(foot, here[foot].conj() * wanted[0]))
             before = here[support]
         else:
-            raise StateError(f"the path is in the frame '{given}'; it must be odom, or a sole: {', '.join(feet)}")
+            raise StateError(
+                f"the path is in the frame '{shown(given)}'; it must be odom, or a sole: {', '.join(feet)}"
+            )
         steps = []
         for x in wanted:
             steps.append((before.conj() * x).vec8())

@@ -12,7 +12,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.state_gate import Felt, InertialGate
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.errors import StateError, shown
 
 __all__ = ["InertialSensor"]
 
@@ -77,7 +77,9 @@ class InertialSensor:
             if age > self._node.config.plant.command_timeout:
                 raise StateError(f"imu: its stamp is {age:.3f} s away from the state's")
         if not ros.is_frame_of(self._frame, given := newest.header.frame_id):
-            raise StateError(f"imu: it is in the frame '{given}', and robot.imu is '{self._frame}': they must agree")
+            raise StateError(
+                f"imu: it is in the frame '{shown(given)}', and robot.imu is '{self._frame}': they must agree"
+            )
         rejected = self._gate.rejected
         felt = self._gate.use(ros.nanoseconds(newest.header.stamp), self._read(newest))
         if self._gate.rejected > rejected:

@@ -23,7 +23,7 @@ from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel, parse_model
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import DqwalkError, StateError
+from dqwalk_ros.support.errors import DqwalkError, StateError, shown
 from dqwalk_ros.support.topics import TOPICS
 from dqwalk_ros.walks.table import make_walk, refuse_foreign_code
 
@@ -262,7 +262,8 @@ class PhaseLog:
         start, (kind, target) = self._starts[began], self._targets[began]
         base = self.model.foot_of.get(start.header.frame_id)
         if base is None:
-            self._logger.error(f"phase_start is in the frame '{start.header.frame_id}', not a sole of the robot")
+            given = shown(start.header.frame_id)
+            self._logger.error(f"phase_start is in the frame '{given}', not a sole of the robot")
             del self._starts[began]
             return None
         support = base if kind is PhaseKind.SINGLE_SUPPORT else base.other

@@ -18,13 +18,19 @@ __all__ = [
     "ViewerError",
     "how_to_install",
     "listed",
+    "shown",
 ]
 
 
 def listed(names: Collection[str]) -> str:
     """Return some names that came from outside, for a message that fits on a line and cannot act on a terminal."""
-    shown = [ascii(name)[1:-1][:60] for name in sorted(names)[:12]]
-    return ", ".join([*shown, f"and {len(names) - 12} more"] if len(names) > 12 else shown)
+    some = [shown(name) for name in sorted(names)[:12]]
+    return ", ".join([*some, f"and {len(names) - 12} more"] if len(names) > 12 else some)
+
+
+def shown(name: str) -> str:
+    """Return a name that came from outside, as `listed` does."""
+    return ascii(name)[1:-1][:60]
 
 
 _ON_PYPI = {

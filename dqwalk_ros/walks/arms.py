@@ -24,7 +24,7 @@ from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.support.errors import ConfigError, StateError
+from dqwalk_ros.support.errors import ConfigError, StateError, listed, shown
 
 __all__ = ["Arms", "Hand", "JointPath"]
 
@@ -401,7 +401,7 @@ class Arms:
         if not names:
             raise StateError("the trajectory names no joint")
         if unknown := [name for name in names if name not in self.names]:
-            raise StateError(f"{', '.join(unknown)} is no joint of the arms; they are {', '.join(self.names)}")
+            raise StateError(f"{listed(unknown)} is no joint of the arms; they are {', '.join(self.names)}")
         if len(set(names)) < len(names):
             raise StateError("the trajectory names a joint twice")
         return [self.names.index(name) for name in names]
@@ -437,7 +437,8 @@ class Arms:
         if pose is not None and frame:
             trunk = frames[hand.trunk]
             if frame not in frames or frames[frame].body != trunk.body:
-                raise StateError(f"the pose of the {side} hand is in '{frame}', which is not fixed to '{hand.trunk}'")
+                given = shown(frame)
+                raise StateError(f"the pose of the {side} hand is in '{given}', which is not fixed to '{hand.trunk}'")
             pose = DQ(trunk.pose).conj() * DQ(frames[frame].pose) * pose
         elif pose is not None and self._base is None:
             raise StateError("the walk has not begun, so it has no place on the ground")

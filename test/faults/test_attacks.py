@@ -14,12 +14,15 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from full_disk import limited_file_size
 from geometry_msgs.msg import PoseStamped
 from inside import state
+from nav_msgs.msg import Path as NavPath
 from rclpy.serialization import serialize_message
 from rclpy.task import Future
-from std_msgs.msg import String
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
-from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.config import load, overlaid, with_files
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.table import make_plant
@@ -236,6 +239,29 @@ def test_long_lists_of_names_are_shortened_to_one_line(make: Any) -> None:
     doubled = [*MODEL.joint_names, "\x1b[31m", "\x1b[31m"]
     one.send("joint_states", state(doubled, np.zeros(len(doubled)), 1.02))
     assert "joints named twice: \\x1b[31m" in one.log
+
+
+@pytest.mark.parametrize("name", ["\x1b[31m\n\u202e", "x" * 10_000])
+def test_names_of_frames_and_joints_are_shortened_to_one_line(make: Any, name: str) -> None:
+    config = with_files(overlaid(load("poppy"), "physics"), [Path("arms")]).updated({"gait.steps": 0})
+    one = make("controller", config)
+    model = one.node._model
+    plant = make_plant("physics", one.node.config, model)
+    one.exchange(plant, model, 1.0)
+    header = Header(frame_id=name)
+    pose = PoseStamped(header=header)
+    pose.pose.orientation.w = 1.0
+    one.send("footsteps", NavPath(header=header, poses=[PoseStamped(pose=pose.pose)]))
+    one.send("footsteps", NavPath(header=Header(frame_id="l_sole"), poses=[pose]))
+    one.send("left_hand_target", pose)
+    one.send("arm_trajectory", JointTrajectory(joint_names=[name]))
+    one.send("imu", Imu(header=header))
+    one.send("joint_states", state(model.joint_names, plant.state.q, 1.0 + config.dt))
+    said = [line for level, line in one.log.lines if level == "error" or "refused" in line]
+    assert len(said) == 5, said
+    for text in said:
+        assert text.isprintable()
+        assert len(text) < 500
 
 
 def test_a_reset_of_the_simulated_robot_ends_the_walk(make: Any) -> None:

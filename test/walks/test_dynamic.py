@@ -595,9 +595,16 @@ def test_a_steered_walk_takes_the_steps_of_its_velocity(speed: float) -> None:
     assert double + single <= 0.5
 
 
-def test_a_step_without_time_for_a_support_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"dynamic\.quicken is 0\.2 s.*less than twice standing\.transfer_duration"):
-        DynamicWalk(CONFIG.updated({"dynamic.quicken": 0.2}), MODEL)
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"dynamic.quicken": 0.2}, r"lasts 0 s.*lower dynamic\.quicken \(0\.2 s\)"),
+        ({"dynamic.quicken": 0.05, "dt": 0.09}, r"less than dt, 0\.09 s"),
+    ],
+)
+def test_a_step_without_time_for_a_support_is_refused(values: dict[str, float], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        DynamicWalk(CONFIG.updated(values), MODEL)
 
 
 def test_the_trunk_keeps_its_posture_over_many_steps() -> None:

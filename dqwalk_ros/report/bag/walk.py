@@ -40,7 +40,7 @@ from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import BagError, listed
+from dqwalk_ros.support.errors import BagError, listed, shown
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
 from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace, known_loads
 
@@ -271,7 +271,7 @@ def _starts(bag: Recording) -> dict[int, PhaseRecord]:
     if not names or not len(begun.stamps):
         raise BagError(f"'{path}' contains no phase of a walk")
     if not set(begun.frames) <= set(model.foot_of) or not set(model.joint_names) <= set(begun.named):
-        given = f"{ascii(begun.frames[0])[1:-1][:60]} and {listed(begun.named)}"
+        given = f"{shown(begun.frames[0])} and {listed(begun.named)}"
         raise BagError(f"'{path}' is of another robot: phase_start names {given}")
     targets = _swing_targets(columns.get("swing_target"))
     known = [_parsed(name) for name in names]

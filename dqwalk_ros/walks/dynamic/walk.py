@@ -104,7 +104,7 @@ class DynamicWalk(SteppingWalk):
     Raises
     ------
     ConfigError
-        If ``dynamic.quicken`` leaves the longest step no time.
+        If the longest step, which ``dynamic.quicken`` makes quicker, has a support shorter than a period.
     """
 
     def __init__(self, config: Config, model: RobotModel) -> None:
@@ -112,8 +112,9 @@ class DynamicWalk(SteppingWalk):
         shortest = min(self._durations(config.gait.most_length))
         if shortest < config.dt:
             raise ConfigError(
-                f"dynamic.quicken is {config.dynamic.quicken:g} s, so a step of gait.most_length has a support of "
-                f"{shortest:g} s; it must be less than twice standing.transfer_duration and standing.swing_duration"
+                f"a support of a step of gait.most_length lasts {shortest:g} s, less than dt, {config.dt:g} s: "
+                f"lower dynamic.quicken ({config.dynamic.quicken:g} s) or dt, or raise standing.transfer_duration and "
+                "standing.swing_duration"
             )
         self._step_now = np.zeros(3)  # length, side and turn of the current step
         self._drive = Drive.of(config, model)
