@@ -226,7 +226,10 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
     }
     pairs = [pair for pair, different in apart.items() if not different]
     if pairs and not any(_is_below_body(skeleton, _branches(skeleton, *pair)) for pair in pairs):
-        raise ModelError("the robot is not a biped: its lowest limbs are suspended below the CoM, like arms")
+        raise ModelError(
+            "the robot is not a biped: its lowest limbs are suspended from above the CoM of the rest of it, like arms; "
+            "if they are legs, correct the <origin> of its <inertial>, or name the feet with --left and --right"
+        )
     if "" in near:
         raise _NoLegsError("the robot is not a biped: it stands on its base, not on legs")
     if len(long_enough) > 2:
@@ -357,11 +360,8 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     arms = {foot: tuple(joint for joint in skeleton.chain[hand] if joint not in waist) for foot, hand in hands.items()}
     imu = _find_imu(skeleton, pelvis_body, torso_body)
     sideways, turns = _freedom(skeleton, legs, float(hip[2] - ankle[2]))
-    if not sideways and not waist:
-        raise ModelError(
-            f"the legs ({kinds}) cannot move the pelvis sideways over flat soles, because no ankle rolls, and no waist "
-            "could move the CoM over one sole"
-        )
+    if not sideways:
+        _check_waist(skeleton, waist, kinds, 0.5 * abs(float((left.ankle - right.ankle)[1])))
     soles = find_soles(skeleton, legs, float(hip[2] - ankle[2]))
     ground = float(np.mean([sole.placed(skeleton).translation()[2] for sole in soles.values()]))
     height = float(hip[2] - ground)
@@ -397,6 +397,28 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
         else abs(y[0] - y[1]),
         tuple(entry for entry in evidence if entry.value),
     )  # fmt: skip
+
+
+def _check_waist(skeleton: Skeleton, waist: Sequence[str], kinds: str, needed: float) -> None:
+    """Raise ModelError if the waist cannot move the CoM sideways as far as `needed` [m], from the middle to a sole.
+
+    The distances that its joints move the CoM are added, each with an angle of up to a right one within its limits.
+    """
+    moved = 0.0
+    for joint in waist:
+        carried = [body for body in skeleton.bodies if joint in skeleton.way(body)]
+        share = sum(map(skeleton.mass, carried)) / sum(map(skeleton.mass, skeleton.bodies))
+        axis, arm = skeleton.axis(joint), skeleton.com(carried) - skeleton.place(joint)
+        across, back = np.cross(axis, arm)[1], np.cross(axis, np.cross(axis, arm))[1]
+        limit = skeleton.joints[joint].limit
+        ends = np.clip([limit.lower, limit.upper], -0.5 * np.pi, 0.5 * np.pi)
+        moved += share * float(np.abs(np.sin(ends) * across + (1.0 - np.cos(ends)) * back).max())
+    if moved < needed:
+        what = f"{', '.join(map(repr, waist))} would move it by {1e3 * moved:.0f} mm" if waist else "there is no waist"
+        raise ModelError(
+            f"the legs ({kinds}) cannot move the pelvis sideways over flat soles, because no ankle rolls, and the "
+            f"waist cannot move the CoM over one sole, {1e3 * needed:.0f} mm to the side: {what}"
+        )
 
 
 def _kind(axis: Array) -> str:

@@ -22,6 +22,8 @@ _DEEPEST = 64
 """Largest depth of nested elements; a valid URDF has six."""
 _LONGEST = 1 << 16
 """Largest number of characters in an attribute."""
+_LONGEST_PREFACE = 4096
+"""Largest number of bytes before an XML declaration."""
 LARGEST = 1e6
 """Largest length [m], mass [kg] and inertia [kg m^2] accepted; a larger joint limit counts as unlimited."""
 _MOST_ERRORS = 8
@@ -110,6 +112,7 @@ def _parsed(data: bytes | str, source: str) -> ElementTree.Element:
     content, encoding = (data.encode(), "utf-8") if isinstance(data, str) else (data, None)
     if len(content) > MOST_BYTES:
         raise ModelError(f"{source}: not a robot description: more than {MOST_BYTES >> 20} MiB")
+    content = _declared_first(content)
     declared = re.match(rb"<\?xml[^>]{0,80}?encoding\s*=\s*[\"']([\w.:-]{1,40})", content)
     name = declared[1].decode().lower() if declared else ""
     if encoding is None and name in _EAST_ASIAN:
@@ -161,6 +164,15 @@ def _parsed(data: bytes | str, source: str) -> ElementTree.Element:
             "<xacro:macro>, <xacro:property> and so on"
         )
     return root
+
+
+def _declared_first(content: bytes) -> bytes:
+    """Return a file with its XML declaration first: ROS tools skip blanks and comments before it."""
+    start = content.find(b"<?xml ", 0, _LONGEST_PREFACE)
+    preface, end = content[: max(start, 0)], content.find(b"?>", start) + 2
+    if start <= 0 or end < 2 or re.sub(b"<!--.*?-->", b"", preface, flags=re.DOTALL).strip():
+        return content
+    return content[start:end] + preface + content[end:]
 
 
 def _wrong(element: ElementTree.Element, known: dict[str, ElementTree.Element]) -> Iterator[str]:

@@ -158,7 +158,8 @@ def test_limits_that_do_not_mirror_each_other_are_doubted(tmp_path: Path) -> Non
 
 
 CHEST = (
-    '<link name="chest"/><joint name="waist" type="revolute"><parent link="trunk"/><child link="chest"/>'
+    '<link name="chest"><inertial><origin xyz="0 0 0.2"/><mass value="8"/><inertia ixx="0.1" iyy="0.1" izz="0.1"/>'
+    '</inertial></link><joint name="waist" type="revolute"><parent link="trunk"/><child link="chest"/>'
     '<axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="4" velocity="6"/></joint></robot>'
 )
 
@@ -174,6 +175,9 @@ def test_legs_without_ankle_roll_stand_as_far_apart_as_in_the_zero_posture(tmp_p
     assert found.turns
     plain = anatomy_of(Urdf.load(SMALL))
     assert found.apart > plain.apart + 0.1
+    urdf.joints["waist"].axis = Z
+    with pytest.raises(ModelError, match=r"over one sole, 1\d\d mm to the side: 'waist' would move it by 0 mm"):
+        anatomy_of(urdf)
 
 
 def test_skew_hips_stand_on_level_soles(tmp_path: Path) -> None:
@@ -680,7 +684,7 @@ def test_legs_without_ankle_roll_and_waist_are_refused_for_that_whatever_their_f
         (r'(name="._ankle_roll" type=)"revolute"', r'\1"fixed"'),
         ("<box [^>]*0132[^>]*>", '<sphere radius="0.03"/>'),
     )
-    with pytest.raises(ModelError, match="no ankle rolls, and no waist"):
+    with pytest.raises(ModelError, match=r"no ankle rolls, and the waist .*: there is no waist$"):
         anatomy_of(read(tmp_path, rolls, round_))
 
 

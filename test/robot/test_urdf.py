@@ -96,6 +96,7 @@ def test_invalid_descriptions_are_rejected_with_element_and_line(name: str) -> N
 
 REPAIRED = {
     "no name of the robot": ("<robot><link name='a'/></robot>", ""),
+    "declared late": ("\n<!-- a -->\n<?xml version='1.0'?>\n" + robot(A), ""),
     "many links": (robot(A, *(link(f"l{i}") + joint(f"j{i}", "a", f"l{i}", "fixed") for i in range(500))), ""),
     "infinite limit": (robot(A, B, joint(more='<limit lower="-inf" upper="1e999" effort="1"/>')), ""),
     "no limit": (robot(A, B, joint(more="")), "line 4: <joint> 'j' has no <limit>: it moves without one"),
