@@ -28,10 +28,26 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 from dqwalk_ros.trace import PhaseRecord, Trace
 
-__all__ = ["Ending", "Series", "Span", "analyse", "pelvis_in_odom", "support_polygon", "urdf_soles"]
+__all__ = ["Ending", "Series", "Span", "analyse", "paper_margin", "pelvis_in_odom", "support_polygon", "urdf_soles"]
 
 
 # ---------------------------------------------------------------------- one state
+
+
+_KEEPING_COM = "tip_plane", "back_plane", "com_cylinder"
+"""The constraints that keep the CoM in the paper's support region, (U9), (U10), (U14)."""
+
+
+def paper_margin(phase: Phase, distances: Mapping[str, float | Array]) -> Array | None:
+    """Return the distance of the CoM to the boundary of the paper's support region, positive inside [m].
+
+    It is the smaller distance to the tip and the back plane in double support, and that to the surface of the cylinder
+    in single support; None in a phase without them, such as one of a standing walk. `distances` are those of the
+    constraints at one state, or at many, shape (N,); the result has the same shape.
+    """
+    rows = [row for row in phase.constraints if row.name in _KEEPING_COM]
+    margins = [np.vectorize(row.margin, otypes=[float])(distances[row.name]) for row in rows]
+    return np.min(margins, axis=0) if margins else None
 
 
 def support_polygon(model: RobotModel, phase: Phase, kin: Kinematics) -> ConvexPolygon:
@@ -225,18 +241,11 @@ class Series:
 
     @cached_property
     def paper_margin(self) -> Array:
-        """Distance of the CoM to the boundary of the paper's support region, positive inside, shape (N,) [m].
-
-        Double support: the smaller distance to the tip and the back plane (U9), (U10). Single support: the radius of
-        the cylinder (U14) minus the distance from its axis. A standing walk has neither; the margin is then nan.
-        """
-        if self.trace.config.gait.style != "paper":
-            return np.full(len(self.time), np.nan)
-        out = self.trace.config.ssp.com_radius - self.com_to_axis
+        """The function `paper_margin` of every tick, shape (N,) [m]; nan where it is None."""
+        out = np.full(len(self.time), np.nan)
         for span in self.spans:
-            if span.double:
-                planes = [self.distances[name][span.ticks] for name in ("tip_plane", "back_plane")]
-                out[span.ticks] = np.minimum(*planes)
+            margin = paper_margin(span.phase, {name: d[span.ticks] for name, d in self.distances.items()})
+            out[span.ticks] = np.nan if margin is None else margin
         return out
 
     @cached_property

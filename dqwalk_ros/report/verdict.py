@@ -26,7 +26,7 @@ from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.report.binding import limits_reached, most_loaded
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.ground import FALLEN, WAY, Ground, shortfall
-from dqwalk_ros.report.metrics import Ending, Series, Span, support_polygon
+from dqwalk_ros.report.metrics import Ending, Series, Span, paper_margin, support_polygon
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 
@@ -107,14 +107,8 @@ class Assessor:
         return Assessment(level, f"{self.phase.name}: {text}" if text else self.phase.name, values)
 
     def _margins(self, kin: Kinematics, distances: Mapping[str, float]) -> dict[str, float]:
-        model, phase = self.model, self.phase
-        margins: dict[str, float] = {}
-        if "com_cylinder" in distances:
-            center = model.soles[phase.base].center
-            margins["margin/paper"] = self.config.ssp.com_radius - float(np.hypot(*(kin.com - center)[:2]))
-        elif "tip_plane" in distances:
-            margins["margin/paper"] = min(distances["tip_plane"], distances["back_plane"])
-        return margins | {
+        model, phase, paper = self.model, self.phase, paper_margin(self.phase, distances)
+        return ({} if paper is None else {"margin/paper": float(paper)}) | {
             "margin/polygon": support_polygon(model, phase, kin).distance(kin.com_on_ground),
             "margin/joints": float(np.minimum(kin.q - model.q_min, model.q_max - kin.q).min()),
         }
