@@ -11,7 +11,7 @@ from sensor_msgs.msg import Imu, JointState
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.nodes.inputs import VELOCITY
-from dqwalk_ros.nodes.phases import PhaseLog
+from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.report.causes import causes

@@ -21,7 +21,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.fall_cause import FallCause
 from dqwalk_ros.nodes.markers import markers
-from dqwalk_ros.nodes.phases import PhaseLog
+from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.metrics import support_polygon

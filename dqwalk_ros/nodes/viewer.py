@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.phases import PhaseLog
+from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.kinematics import Kinematics, compose
 from dqwalk_ros.paper.phase import Phase

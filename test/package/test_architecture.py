@@ -106,18 +106,33 @@ def module(file: Path) -> str:
     return ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
 
 
-def test_no_circle_of_imports():
-    """Also inside a folder, and of imports within functions."""
+@cache
+def needed() -> dict[str, set[str]]:
+    """Return the modules of the package that each one imports, also within functions."""
     files = {module(file): file for file in FILES}
-    todo = {
+    return {
         name: {found for text in imports(file) for found in (text, text.rpartition(".")[0]) if found in files} - {name}
         for name, file in files.items()
         if file.name != "__init__.py" or "import_module" not in file.read_text(encoding="utf-8")
     }
-    while done := [name for name, needed in todo.items() if not needed & todo.keys()]:
+
+
+def test_no_circle_of_imports():
+    """Also inside a folder, and of imports within functions."""
+    todo = dict(needed())
+    while done := [name for name, others in todo.items() if not others & todo.keys()]:
         for name in done:
             del todo[name]
     assert not todo
+
+
+@pytest.mark.parametrize("node", ["controller", "plant", "drive", "poppy_driver"])
+def test_a_node_that_moves_the_robot_does_not_load_what_judges_the_walk(node):
+    found, waiting = set(), {f"dqwalk_ros.nodes.{node}"}
+    while waiting:
+        found |= waiting
+        waiting = set().union(*(needed()[name] for name in waiting)) - found
+    assert not [name for name in found if name.startswith(("dqwalk_ros.report", "dqwalk_ros.studies"))]
 
 
 @pytest.mark.parametrize("package", IMPORTERS)
