@@ -18,13 +18,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dqwalk_ros.config import Config, Spec, overlaid
-from dqwalk_ros.plants.table import PLANTS
+from dqwalk_ros.config import Config, Spec
+from dqwalk_ros.plants.table import defaults_of
 from dqwalk_ros.support.errors import ConfigError, how_to_install
 from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
-__all__ = ["NODES", "defaults_of", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
+__all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
 
 
 def docstring(name: str) -> str:
@@ -40,12 +40,6 @@ def sections_of(name: str) -> list[str]:
     """Return the sections of the schema, or single parameters of it, that a node's docstring lists."""
     found = re.search(r"^Sections of the schema: (.*?)\.$", docstring(name), re.M | re.S)
     return re.split(r",\s+", found.group(1)) if found else []
-
-
-def defaults_of(name: str) -> Config:
-    """Return the parameters of a node where none are given; the driver of a robot has those of its plant's file."""
-    files = [each.parameters for each in PLANTS.values() if each.node == name and not each.type]
-    return overlaid(Config(), files[0]) if files else Config()
 
 
 def parameters_of(name: str) -> list[Spec]:

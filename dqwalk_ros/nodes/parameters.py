@@ -17,7 +17,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 
 from dqwalk_ros.config import OF_RCLPY, Config, Spec, is_foreign, resolved, sections_of
-from dqwalk_ros.nodes.command_line import defaults_of
+from dqwalk_ros.plants.table import defaults_of
 from dqwalk_ros.support import strict_yaml
 
 __all__ = ["declare"]
@@ -29,8 +29,8 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
     Parameters
     ----------
     argv : sequence of str
-        Name of the node in `command_line`, whose defaults apply, and command line of the process, whose parameter files
-        are checked for sections with misspelt names.
+        Name of the node, whose defaults apply, and command line of the process, whose parameter files are checked for
+        sections with misspelt names.
 
     Raises
     ------

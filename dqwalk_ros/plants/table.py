@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # the help texts list the plants, and import no numpy
     from dqwalk_ros.plants.base import Plant
     from dqwalk_ros.robot.model import RobotModel
 
-__all__ = ["PHYSICS", "PLANTS", "SIMULATORS", "Entry", "entry", "make_plant", "plant_type"]
+__all__ = ["PHYSICS", "PLANTS", "SIMULATORS", "Entry", "defaults_of", "entry", "make_plant", "plant_type"]
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,14 @@ def entry(name: str) -> Entry:
     if name not in PLANTS:
         raise PlantError(f"no plant is called '{name}': {', '.join(PLANTS)}, or MODULE:CLASS of your own")
     return PLANTS[name]
+
+
+def defaults_of(node: str) -> Config:
+    """Return the parameters of a node where none are given; the driver of a robot has those of its plant's file."""
+    from dqwalk_ros.config import Config, overlaid
+
+    files = [each.parameters for each in PLANTS.values() if each.node == node and not each.type]
+    return overlaid(Config(), files[0]) if files else Config()
 
 
 def plant_type(name: str) -> type[Plant]:
