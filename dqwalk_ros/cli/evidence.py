@@ -17,7 +17,7 @@ from dqwalk_ros.support.errors import ConfigError, listed
 from dqwalk_ros.support.text_table import aligned, without_numbers
 
 if TYPE_CHECKING:
-    from dqwalk_ros.studies.evidence import Outcome
+    from dqwalk_ros.studies.evidence import WalkOutcome
 
 __all__ = ["evidence", "table"]
 
@@ -105,11 +105,11 @@ def evidence(path: str, engines: tuple[str, ...], wanted: tuple[str, ...], sampl
     return 0 if all(end.stood for _, end in done) else 1
 
 
-def table(done: Sequence[tuple[dict[str, Any], Outcome]]) -> str:
+def table(done: Sequence[tuple[dict[str, Any], WalkOutcome]]) -> str:
     """Return a line per row and engine, and the reasons of what did not stand or is not OK."""
     from dqwalk_ros.studies.evidence import bounds
 
-    groups: dict[tuple[str, str], list[Outcome]] = {}
+    groups: dict[tuple[str, str], list[WalkOutcome]] = {}
     for point, end in done:
         groups.setdefault((point["row"], point["engine"]), []).append(end)
 

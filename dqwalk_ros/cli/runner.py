@@ -30,7 +30,7 @@ from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.walks.course import Course
 from dqwalk_ros.walks.table import walk_type
 
-__all__ = ["Outcome", "Processes", "environment", "private_domain", "run_walk"]
+__all__ = ["Processes", "RunOutcome", "environment", "private_domain", "run_walk"]
 
 _GRACE = {signal.SIGINT: 20.0, signal.SIGTERM: 3.0, signal.SIGKILL: 2.0}
 """Time that a process has to end after each signal [s]."""
@@ -41,7 +41,7 @@ _STALL = 60.0
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """The outcome of a walk.
 
     Attributes
@@ -89,7 +89,7 @@ def run_walk(
     lockstep: bool = True,
     progress: Callable[[float, str], None] | None = None,
     domain: int | None = None,
-) -> Outcome:
+) -> RunOutcome:
     """Run a walk with controller, plant, phase_monitor and recorder in separate processes.
 
     Parameters
@@ -145,7 +145,7 @@ def run_walk(
         processes.stop()
         reason = reason or _recording_error(processes, lockstep, int(walk.last["ticks"]))
         pace = processes.reports[node].get("pace", "")
-    return Outcome(
+    return RunOutcome(
         finished=not reason,
         reason=reason,
         ticks=int(walk.last.get("ticks", 0)),

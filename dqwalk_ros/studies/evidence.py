@@ -32,7 +32,7 @@ from dqwalk_ros.walks.course import Course
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
 
-__all__ = ["Outcome", "Row", "bounds", "collect", "points", "read"]
+__all__ = ["Row", "WalkOutcome", "bounds", "collect", "points", "read"]
 
 CONFIDENCE = 0.95
 """Probability with which the bounds of `bounds` contain the true chance."""
@@ -107,7 +107,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sets: dict[str, dict[str, Any]] = {}
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class WalkOutcome(msgspec.Struct, frozen=True):
     """The outcome of a walk; of a walk with a push only whether it stood, and why not.
 
     Attributes
@@ -178,7 +178,9 @@ def points(rows: Mapping[str, Row], engines: Sequence[str], sample: int = 0) -> 
     return out
 
 
-def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int, point: Mapping[str, Any]) -> Outcome:
+def _evaluate(
+    rows: Mapping[str, Row], configs: Mapping[str, Config], index: int, point: Mapping[str, Any]
+) -> WalkOutcome:
     """Simulate one walk; the index is not used."""
     row, config = rows[point["row"]], configs[point["row"]].updated({"plant.name": point["engine"]})
     try:
@@ -190,7 +192,7 @@ def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int
                 else Push(point["foot"], point["direction"], row.push, part=point["part"])
             )
             why = pushed(config, push)
-            return Outcome(not why, why)
+            return WalkOutcome(not why, why)
         config = config.updated({"sensors.seed": point["seed"]})
         controller, course = make_controller(config, model), Course.parse(row.cmd_vel)
         orders = [course.steering(controller)] if row.cmd_vel else []
@@ -206,7 +208,7 @@ def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int
             raise KeyboardInterrupt  # an interrupted walk has no outcome
         found = report.report(report.analyse(trace))
     except DqwalkError as error:
-        return Outcome(False, str(error))
+        return WalkOutcome(False, str(error))
     of, stopped = found["physics"], shortfall(found["physics"]["way"], found["physics"]["commanded_way"])
     stood = trace.finished and not of["fallen"] and not stopped
     reasons = [*trace.notes, *filter(None, [stopped]), *(one["message"] for one in found["violations"])]
@@ -219,7 +221,7 @@ def _evaluate(rows: Mapping[str, Row], configs: Mapping[str, Config], index: int
 
         with contextlib.suppress(PlantError):  # shapes that MuJoCo cannot read, such as some meshes
             touching = own_contacts(model, trace.q).total()
-    return Outcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed, touching)
+    return WalkOutcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed, touching)
 
 
 def _reaching(controller: VelocityController, interval: float, seed: int) -> Callable[[float], None]:
@@ -247,7 +249,7 @@ def _reaching(controller: VelocityController, interval: float, seed: int) -> Cal
 
 def collect(
     rows: Mapping[str, Row], engines: Sequence[str], out: Path, *, sample: int = 0, force: bool = False, **options: Any
-) -> list[tuple[dict[str, Any], Outcome]]:
+) -> list[tuple[dict[str, Any], WalkOutcome]]:
     """Simulate what is missing in ``walks.jsonl`` of a folder, and return all points with their outcomes in order.
 
     With `force` earlier results are discarded; other options and errors are those of `runner.run`.
@@ -255,7 +257,7 @@ def collect(
     configs, every = {name: row.made() for name, row in rows.items()}, points(rows, engines, sample)
     walks = [(row.push, row.anywhere, row.cmd_vel, configs[name].flat()) for name, row in rows.items()]
     key = digest(next(iter(configs.values())), every, walks)
-    store = Store(out / "walks.jsonl", key, every, Outcome, force=force)
+    store = Store(out / "walks.jsonl", key, every, WalkOutcome, force=force)
     done = run(functools.partial(_evaluate, rows, configs), store, **options)
     return [(every[k], outcome) for k, outcome in done.items()]
 

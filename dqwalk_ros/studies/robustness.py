@@ -28,7 +28,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.walks.table import make_controller
 
-__all__ = ["Cell", "Outcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
+__all__ = ["Cell", "CellOutcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
 
 LATENCY_ERROR = "latency_error"
 """An axis that is not a parameter: error of the latency that the controller assumes [s]."""
@@ -55,7 +55,7 @@ def axes_of(config: Config) -> dict[str, tuple[float, ...]]:
     }
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class CellOutcome(msgspec.Struct, frozen=True):
     """The outcome of a walk.
 
     Attributes
@@ -88,7 +88,7 @@ class Outcome(msgspec.Struct, frozen=True):
     reached: Mapping[str, int] = {}
 
 
-Cell = tuple[Mapping[str, float], Outcome]
+Cell = tuple[Mapping[str, float], CellOutcome]
 """A combination of parameters, and the outcome of its walk."""
 
 
@@ -122,7 +122,7 @@ def assumed(config: Config, latency_error: float = 0.0) -> dict[str, float]:
     }
 
 
-def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
+def walk(config: Config, index: int, values: Mapping[str, Any]) -> CellOutcome:
     """Simulate one combination in physics, until the walk ends or the robot falls."""
     time, tilt, load, joint, reached, last = 0.0, 0.0, 0.0, "", Counter[str](), None
     landed, stands = list[Phase](), list[Array]()
@@ -153,11 +153,11 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> Outcome:
                     stands.append(middle(truth.soles, model)[:2])
                 last = phase
     except DqwalkError as error:
-        return Outcome(False, time, len(landed), str(error), tilt, load or None, joint, reached)
+        return CellOutcome(False, time, len(landed), str(error), tilt, load or None, joint, reached)
     way = float(np.linalg.norm(np.diff(stands, axis=0), axis=1).sum())
     upright = controller.finished and tilt < TIPPED
     reason = shortfall(way, commanded_way(landed)) if upright else f"fell in {controller.phase.name}"
-    return Outcome(not reason, time, len(landed), reason, tilt, load or None, joint, reached)
+    return CellOutcome(not reason, time, len(landed), reason, tilt, load or None, joint, reached)
 
 
 def walk_all(
@@ -168,6 +168,6 @@ def walk_all(
     With `force` earlier results are discarded; other options and errors are those of `runner.run`.
     """
     make_controller(config, load_model(config.robot))  # a wrong name is an error before the first walk
-    store = Store(out / "cells.jsonl", digest(config, list(combinations)), combinations, Outcome, force=force)
+    store = Store(out / "cells.jsonl", digest(config, list(combinations)), combinations, CellOutcome, force=force)
     done = run(functools.partial(walk, config), store, **options)
     return [(combinations[k], outcome) for k, outcome in done.items()]

@@ -25,10 +25,10 @@ from dqwalk_ros.support.errors import ConfigError, DqwalkError, StudyError
 from dqwalk_ros.support.output import written
 from dqwalk_ros.walks.table import make_controller
 
-__all__ = ["Outcome", "set_up", "walk", "walk_all"]
+__all__ = ["StudyOutcome", "set_up", "walk", "walk_all"]
 
 
-class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+class StudyOutcome(msgspec.Struct, frozen=True, kw_only=True):
     """The outcome of a walk; numbers are None if it could not begin.
 
     Attributes
@@ -55,12 +55,12 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     joints: float | None = msgspec.field(default=None, name="margin/joints")
 
 
-def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Outcome:
+def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> StudyOutcome:
     """Run the walk of a number with its varied parameters; seed and number together fix its random numbers."""
     try:
         return _walked(config, seed, index, point)
     except DqwalkError as error:
-        return Outcome(finished=False, end=str(error))
+        return StudyOutcome(finished=False, end=str(error))
 
 
 def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) -> dict[int, dict[str, Any]]:
@@ -72,11 +72,11 @@ def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) ->
     Returns
     -------
     dict of int to dict
-        ``walk``, the parameters, and the fields of `Outcome`, by the number of the walk.
+        ``walk``, the parameters, and the fields of `StudyOutcome`, by the number of the walk.
     """
     points = study.points()
     set_up(study.config, points[0])  # a wrong name is an error before the first walk
-    store = Store(out / "walks.jsonl", study.digest(), points, Outcome, force=force)
+    store = Store(out / "walks.jsonl", study.digest(), points, StudyOutcome, force=force)
     done = run(functools.partial(walk, study.config, study.seed), store, **options)
     rows = {k: {"walk": k, **points[k], **msgspec.to_builtins(outcome)} for k, outcome in done.items()}
     _write_parquet(list(rows.values()), out / "walks.parquet")
@@ -118,7 +118,7 @@ def set_up(config: Config, point: Mapping[str, Any]) -> tuple[Config, RobotModel
     return config, model, q0
 
 
-def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Outcome:
+def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> StudyOutcome:
     config, model, q0 = set_up(config, point)
     deviation = float(point.get("disturbance.velocity", 0.0))
     controller = make_controller(config, model)
@@ -127,10 +127,10 @@ def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> 
     if trace.interrupted:
         raise KeyboardInterrupt  # an interrupted walk has no outcome
     if not trace.phases:
-        return Outcome(finished=False, end="; ".join(trace.notes))
+        return StudyOutcome(finished=False, end="; ".join(trace.notes))
     found = report.report(report.analyse(trace))["walk"]
     margin = {name: found["margin"][name]["value"] for name in ("paper", "true", "joints")}
-    return Outcome(
+    return StudyOutcome(
         finished=trace.finished,
         end="; ".join(trace.notes),
         duration=found["duration"],

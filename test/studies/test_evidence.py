@@ -16,7 +16,7 @@ from dqwalk_ros.cli.evidence import table
 from dqwalk_ros.plants import mujoco
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.studies import evidence, robustness
-from dqwalk_ros.studies.evidence import Outcome, Row, bounds, points, read
+from dqwalk_ros.studies.evidence import Row, WalkOutcome, bounds, points, read
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.table import make_controller
 
@@ -73,11 +73,11 @@ def test_the_bounds_are_those_at_which_the_count_has_a_chance_of_one_in_forty(co
 
 def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> None:
     done = [
-        ({"row": "walk", "engine": "drake", "seed": k}, Outcome(True, "", True, 0.01, 0.002, 0.99, 0.1, k))
+        ({"row": "walk", "engine": "drake", "seed": k}, WalkOutcome(True, "", True, 0.01, 0.002, 0.99, 0.1, k))
         for k in range(19)
     ]
-    done.append(({"row": "walk", "engine": "drake", "seed": 19}, Outcome(False, "fell at 3.2 s")))
-    done += [({"row": "pushes", "engine": "drake", "foot": "left"}, Outcome(True))]
+    done.append(({"row": "walk", "engine": "drake", "seed": 19}, WalkOutcome(False, "fell at 3.2 s")))
+    done += [({"row": "pushes", "engine": "drake", "foot": "left"}, WalkOutcome(True))]
     text = table(done)
     walk = next(line for line in text.splitlines() if line.lstrip().startswith("walk"))
     assert "19 of 20 (>= 75 %)" in walk

@@ -321,7 +321,7 @@ def test_robustness_samples_cells_and_counts_failures():
     drawn = robustness.cells(axes, sample=4, seed=1)
     assert drawn == robustness.cells(axes, sample=4, seed=1)
     assert len(drawn) == 4
-    done = [(values, robustness.Outcome(k > 0, 1.0, 3, "" if k else "fell")) for k, values in enumerate(drawn)]
+    done = [(values, robustness.CellOutcome(k > 0, 1.0, 3, "" if k else "fell")) for k, values in enumerate(drawn)]
     text = table(done, axes)
     assert text.startswith("3 of 4 cells stood (4 of the 6 combinations were walked)")
     assert "failed at" in text
@@ -356,7 +356,7 @@ def test_an_interrupted_robustness_study_says_how_to_continue(tmp_path, monkeypa
     def walk(config, index, values):
         if (tmp_path / "cells.jsonl").read_text().count("stood"):
             raise KeyboardInterrupt
-        return robustness.Outcome(True, 1.0, 3, "")
+        return robustness.CellOutcome(True, 1.0, 3, "")
 
     monkeypatch.setattr(robustness, "walk", walk)
     options = ["--axis", "physics.friction=0.4,0.8", "--sample", "5", "--jobs", "1", "--out", str(tmp_path)]
@@ -372,7 +372,7 @@ def test_robustness_as_built_varies_gain_and_seed():
     assert len(robustness.cells(axes)) == 40
     assert axes["servo.p_gain"] == (254, 127)
     values = [{"servo.p_gain": 254.0, "sensors.seed": k} for k in range(3)]
-    done = [(one, robustness.Outcome(True, 1.0, 3, "", 0.001 * k)) for k, one in enumerate(values)]
+    done = [(one, robustness.CellOutcome(True, 1.0, 3, "", 0.001 * k)) for k, one in enumerate(values)]
     assert "the largest of each walk: median 0.06, worst 0.11 degrees" in table(done, axes)
 
 
