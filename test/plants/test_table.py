@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from dqwalk_ros import cli
 from dqwalk_ros.config import Config
 from dqwalk_ros.plants.table import PHYSICS, PLANTS, SIMULATORS, entry, plant_type
 from dqwalk_ros.support.errors import ConfigError, PlantError
@@ -38,6 +38,7 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """The name of an own plant in a module on the path of this process and of those it starts."""
     (tmp_path / "counting.py").write_text(OWN, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "counting", raising=False)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]))
     return "counting:Counting"
 
@@ -77,8 +78,6 @@ def test_a_module_that_cannot_be_imported_is_an_error(
 def test_an_own_plant_walks(own: str, tmp_path: Path, command: str) -> None:
     """In one process, and as a node."""
     out = tmp_path / "out"
-    words = [sys.executable, "-m", "dqwalk_ros.cli", command, "--plant", own, "--out", str(out), *SHORT]
-    done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert cli.main([command, "--plant", own, "--out", str(out), *SHORT]) == 0
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert int((tmp_path / "periods").read_text(encoding="utf-8")) >= report["walk"]["ticks"] - 1 > 100
