@@ -59,14 +59,15 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
     argv : sequence of str
         Without the program's name.
     """
-    about = docstring(name)
+    helps = not {"-h", "--help"}.isdisjoint(argv)  # else its texts, which take 20 ms, are not needed
     parser = argparse.ArgumentParser(
         prog=f"dqwalk_{name}",
         usage=f"dqwalk_{name} {'--bag DIR ' if name == 'recorder' else ''}"
         "[--ros-args --params-file FILE -p NAME:=VALUE ...]",
-        description=about.replace("::\n", ":\n"),
-        epilog=_epilog(name),
+        description=docstring(name).replace("::\n", ":\n") if helps else None,
+        epilog=_epilog(name) if helps else None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     parser.add_argument(
         "--child", action="store_true", help="for programs: print progress as lines of JSON, stop with the parent"
