@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -83,7 +84,13 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Compile the package before tests of nodes: on a busy machine this takes longer than the timeout of a test."""
+    """Compile the package before tests of nodes: on a busy machine this takes longer than the timeout of a test.
+
+    What has been imported is no garbage; to look through it again and again takes a tenth of the time of all tests.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 50)
     if "rclpy" in sys.modules and not session.config.option.collectonly:
         import warm
 
