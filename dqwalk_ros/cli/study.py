@@ -87,12 +87,15 @@ def _units(study: Study) -> dict[str, str]:
 
 
 def _summary(study: Study, rows: list[dict[str, Any]]) -> str:
+    from dqwalk_ros.report.figures.studies import MARGINS, margins_of
+
     finished = [row for row in rows if row["finished"]]
     lines = [f"{study.name}: {len(finished)} of {len(rows)} walks finished"]
     if finished:
-        best = max(finished, key=lambda row: row["margin/paper"])
+        margin = margins_of(rows)[0]
+        best = max(finished, key=lambda row: row[margin])
         at = ", ".join(f"{name} = {best[name]}" for name in study.vary)
-        lines.append(f"  best smallest margin to the paper's planes: {1e3 * best['margin/paper']:.2f} mm at {at}")
+        lines.append(f"  best smallest margin {MARGINS[margin][1]}: {1e3 * best[margin]:.2f} mm at {at}")
     # failures that differ in numbers only are counted together
     ends = Counter(row["end"].partition(" at an error")[0].partition(":")[0] for row in rows if not row["finished"])
     lines += [f"  {count:4d} x {end}" for end, count in ends.most_common(6)]

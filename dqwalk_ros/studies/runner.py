@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from dqwalk_ros.support.errors import ConfigError, StudyError
-from dqwalk_ros.support.interrupts import serve
+from dqwalk_ros.support.interrupts import as_ctrl_c, serve
 
 __all__ = ["Store", "run"]
 
@@ -155,13 +155,13 @@ def run(
     ConfigError
         If no scheduler answers.
     StudyError
-        If an outcome cannot be saved, or after Ctrl-C; the outcomes until then remain in the store.
+        If an outcome cannot be saved, or after Ctrl-C, SIGTERM or SIGHUP; the outcomes until then remain in the store.
     """
     from joblib import Parallel, delayed
 
     missing = [index for index in range(len(store.points)) if index not in store.done]
     random.Random(0).shuffle(missing)
-    with contextlib.closing(store), _backend(scheduler), contextlib.suppress(KeyboardInterrupt):
+    with contextlib.closing(store), _backend(scheduler), contextlib.suppress(KeyboardInterrupt), as_ctrl_c():
         parallel = Parallel(n_jobs=-1 if scheduler else jobs, return_as="generator_unordered", batch_size=1)
         for index, outcome in parallel(delayed(_numbered)(task, index, store.points[index]) for index in missing):
             store.add(index, outcome)

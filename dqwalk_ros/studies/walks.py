@@ -23,7 +23,7 @@ from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, StudyError
 from dqwalk_ros.support.output import written
-from dqwalk_ros.walks.table import make_controller
+from dqwalk_ros.walks.table import make_controller, make_walk, walk_type
 
 __all__ = ["StudyOutcome", "set_up", "walk", "walk_all"]
 
@@ -41,7 +41,8 @@ class StudyOutcome(msgspec.Struct, frozen=True, kw_only=True):
         Of the last phase.
     paper, true, joints : float
         Smallest margin of the walk to the paper's planes and cylinder, to the edges of the soles [m], and to the joint
-        limits [rad]; ``margin/paper`` and so on in files.
+        limits [rad]; ``margin/paper`` and so on in files. None where it has no meaning: `paper` in a walk of another
+        style, `true` for a robot whose soles have no shape.
     """
 
     finished: bool
@@ -104,11 +105,13 @@ def set_up(config: Config, point: Mapping[str, Any]) -> tuple[Config, RobotModel
     Raises
     ------
     ConfigError
-        If there is no such joint or link.
+        If there is no such joint or link, or the walk has no end.
     """
     config = config.updated({name: value for name, value in point.items() if not is_own(name)})
+    if not walk_type(config).phases(config):
+        raise ConfigError("the walk has no end, because it is steered: set gait.steps to a number of steps")
     model = _with_masses(load_model(config.robot), point)
-    q0 = np.zeros(model.n)
+    q0 = make_walk(config, model).posture.copy()
     for name, value in point.items():
         if name.startswith("start."):
             joint = name.removeprefix("start.")
@@ -129,7 +132,7 @@ def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> 
     if not trace.phases:
         return StudyOutcome(finished=False, end="; ".join(trace.notes))
     found = report.report(report.analyse(trace))["walk"]
-    margin = {name: found["margin"][name]["value"] for name in ("paper", "true", "joints")}
+    margin = {name: found["margin"][name]["value"] for name in ("paper", "true", "joints") if name in found["margin"]}
     return StudyOutcome(
         finished=trace.finished,
         end="; ".join(trace.notes),

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-__all__ = ["deferred_interrupts", "end_with", "is_interrupt", "serve"]
+__all__ = ["as_ctrl_c", "deferred_interrupts", "end_with", "is_interrupt", "serve"]
 
 
 @contextlib.contextmanager
@@ -42,6 +42,20 @@ def deferred_interrupts() -> Iterator[list[signal.Signals]]:
         yield received
     finally:
         restore()
+
+
+@contextlib.contextmanager
+def as_ctrl_c() -> Iterator[None]:
+    """Have SIGTERM and SIGHUP raise KeyboardInterrupt, as Ctrl-C does, where they would end the process at once."""
+    own = threading.current_thread() is threading.main_thread()
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if own and signal.getsignal(n) is signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def is_interrupt(error: BaseException | None) -> bool:

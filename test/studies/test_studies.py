@@ -127,6 +127,23 @@ def test_a_failed_walk_is_a_result(tmp_path):
     assert all("double_support/left" in row["end"] for row in rows.values())
 
 
+@pytest.mark.parametrize(
+    "vary", ["gait.step_side: [0.0, 0.01]", "gait.step_side: [0.0], gait.step_length: [0.0, 0.01]"]
+)
+def test_a_walk_without_the_planes_of_the_paper_can_be_studied(tmp_path, capsys, vary):
+    study = write(tmp_path / "s.yaml", f"config: poppy_dynamic\nset: {{gait.steps: 1}}\nvary: {{{vary}}}\n")
+    assert cli.main(["study", str(study), "--out", str(tmp_path / "out")]) == 0
+    shown = capsys.readouterr().out
+    assert "2 of 2 walks finished" in shown
+    assert "to the edge of the soles" in shown
+
+
+def test_a_walk_that_does_not_end_is_not_studied(tmp_path):
+    study = write(tmp_path / "s.yaml", "config: poppy\nset: {gait.steps: 0}\nvary: {gait.step_length: [0.01]}\n")
+    with pytest.raises(ConfigError, match=r"the walk has no end.*gait\.steps"):
+        walk_all(read(study), tmp_path / "out")
+
+
 @pytest.mark.parametrize(("name", "words"), [("start.nobody", "no such joint.*l_knee_y"), ("mass.no", "no such link")])
 def test_a_wrong_joint_or_link_is_an_error_before_the_first_walk(tmp_path, name, words):
     study = write(tmp_path / "s.yaml", f"{SHORT}vary: {{{name}: [1.0, 2.0]}}\n")
@@ -206,7 +223,7 @@ def square(index: int, point: dict[str, float]) -> Number:
 
 
 def test_workers_ignore_ctrl_c_and_end_with_their_study(tmp_path):
-    """Also after SIGTERM, which ends the study at once."""
+    """Also after SIGTERM, which the study answers as Ctrl-C: with an error that says what is saved."""
     files = [tmp_path / "one", tmp_path / "two"]
     points = [{"file": str(file)} for file in files]
     program = (
@@ -214,13 +231,13 @@ def test_workers_ignore_ctrl_c_and_end_with_their_study(tmp_path):
         "from dqwalk_ros.studies.runner import Store, run; "
         f"run(hold_a_lock, Store(Path({str(tmp_path / 'walks.jsonl')!r}), 'x', {points}, Number), jobs=2)"
     )
-    study = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT / "test/support")
+    study = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT / "test/support", stderr=subprocess.PIPE)
     while not all(file.exists() and file.read_text() for file in files):
         assert study.poll() is None
         time.sleep(0.02)
     assert {file.read_text() for file in files} == {"True"}
     study.terminate()
-    study.wait(timeout=60)
+    assert b"StudyError: interrupted; 0 of 2 walks are saved" in study.communicate(timeout=60)[1]
     assert all(map(released, files))
 
 

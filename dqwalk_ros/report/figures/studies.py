@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,11 +19,20 @@ if TYPE_CHECKING:
     from dqwalk_ros.studies.pushes import Limit
     from dqwalk_ros.studies.robustness import Cell
 
-__all__ = ["pushes_figure", "robustness_figure", "study_figure"]
+__all__ = ["MARGINS", "margins_of", "pushes_figure", "robustness_figure", "study_figure"]
 
 # ---------------------------------------------------------------------- walks with parameters varied
 
-_MARGIN = "margin/paper"
+MARGINS = {
+    "margin/paper": (BLUE, "to the paper's planes and cylinder"),
+    "margin/true": (GREEN, "to the edge of the soles"),
+}
+"""Colour and meaning of each margin of the CoM in a study."""
+
+
+def margins_of(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return the margins that every finished walk has: only those of the paper's walk have its planes."""
+    return [key for key in MARGINS if all(row[key] is not None for row in rows if row["finished"])]
 
 
 @drawing()
@@ -48,14 +57,15 @@ def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units:
         panels.setdefault(", ".join(f"{name.split('.')[-1]}: {_text(row[name])}" for name in others), []).append(row)
     figure = new_figure(1.4 + 3.6 * len(panels), 3.6)
     axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    most = max((abs(1e3 * row[_MARGIN]) for row in rows if row["finished"]), default=0.0) or 1.0
+    margins = margins_of(rows)
+    spread = [0.0, *_column([row for row in rows if row["finished"]], margins[0], 1e3)]
     for axis, (title, some) in zip(axes, panels.items(), strict=True):
         done = [row for row in some if row["finished"]]
         failed = [row for row in some if not row["finished"]]
         if more:
-            _draw_map(axis, x, more[0], done, failed, most)
+            _draw_map(axis, x, more[0], done, failed, margins[0], (min(spread), max(spread) or 1.0))
         else:
-            _draw_margins(axis, x, done, failed)
+            _draw_margins(axis, x, done, failed, margins)
         axis.set(xlabel=_label(x, units), ylabel=_label(more[0], units) if more else "least margin of the CoM [mm]")
         share = f"{len(done)} of {len(some)} finished"
         axis.set_title(f"{title}\n{share}" if title else share)
@@ -63,29 +73,36 @@ def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units:
         axis.label_outer()
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     if more:
-        figure.colorbar(axes[0].collections[0], ax=list(axes), label="least margin to the paper's planes [mm]")
+        figure.colorbar(axes[0].collections[0], ax=list(axes), label=f"least margin {MARGINS[margins[0]][1]} [mm]")
     return figure
 
 
 def _draw_map(
-    axis: Axes, x: str, y: str, done: list[Mapping[str, Any]], failed: list[Mapping[str, Any]], most: float
+    axis: Axes,
+    x: str,
+    y: str,
+    done: list[Mapping[str, Any]],
+    failed: list[Mapping[str, Any]],
+    margin: str,
+    between: tuple[float, float],
 ) -> None:
-    """Draw the walks as points over two parameters, with the margin as colour, up to `most` [mm]."""
-    margins = _column(done, _MARGIN, 1e3)
-    axis.scatter(_column(done, x), _column(done, y), c=margins, s=34, cmap="viridis", vmin=0, vmax=most)
+    """Draw the walks as points over two parameters, with a margin as colour, `between` two values [mm]."""
+    low, high = between
+    margins = _column(done, margin, 1e3)
+    axis.scatter(_column(done, x), _column(done, y), c=margins, s=34, cmap="viridis", vmin=low, vmax=high)
     axis.scatter(_column(failed, x), _column(failed, y), c=RED, marker="x", s=26, label="failed")
 
 
-def _draw_margins(axis: Axes, x: str, done: list[Mapping[str, Any]], failed: list[Mapping[str, Any]]) -> None:
-    """Draw both margins over one parameter."""
+def _draw_margins(
+    axis: Axes, x: str, done: list[Mapping[str, Any]], failed: list[Mapping[str, Any]], margins: Sequence[str]
+) -> None:
+    """Draw margins over one parameter."""
     low = 0.0
-    for key, tone, label in (
-        (_MARGIN, BLUE, "to the paper's planes and cylinder"),
-        ("margin/true", GREEN, "to the edge of the soles"),
-    ):
-        margins = _column(done, key, 1e3)
-        axis.plot(_column(done, x), margins, "o-", color=tone, ms=4, label=label)
-        low = min([low, *margins])
+    for key in margins:
+        tone, label = MARGINS[key]
+        values = _column(done, key, 1e3)
+        axis.plot(_column(done, x), values, "o-", color=tone, ms=4, label=label)
+        low = min([low, *values])
     axis.plot(_column(failed, x), [low] * len(failed), "x", color=RED, ms=7, label="did not finish")
     axis.axhline(0.0, color=GREY, lw=0.8)
 
