@@ -64,7 +64,7 @@ class PhaseLog:
         self._targets: dict[int, tuple[PhaseKind, Any]] = {}
         self._tuned: dict[int, Config] = {}
         self._assessors: dict[int, Assessor] = {}
-        self._imu: deque[bytes] = deque(maxlen=_MEASURED)  # those that no state has needed yet
+        self._imu: deque[tuple[int, bytes]] = deque(maxlen=_MEASURED)  # by stamp [ns]; those no state has needed yet
         self._vertical: tuple[int, Array | None] = (0, None)  # stamp [ns], unit vector in the sensor's frame
         self.newest, self._steps = -1, ClockSteps()
         node.listen(Imu, "imu", self._on_imu, _MEASURED, raw=True)
@@ -124,7 +124,11 @@ class PhaseLog:
         self.label = msg.data
 
     def _on_imu(self, raw: bytes) -> None:
-        self._imu.append(raw)
+        with contextlib.suppress(StateError):
+            stamp = ros.stamp_of(raw)
+            while self._imu and self._imu[-1][0] > stamp:  # had a wrong stamp, or a clock was set back
+                self._imu.pop()
+            self._imu.append((stamp, raw))
 
     def _on_start(self, msg: JointState) -> None:
         _store(self._starts, ros.nanoseconds(msg.header.stamp), msg)
@@ -145,21 +149,13 @@ class PhaseLog:
     def up(self, stamp: int) -> Array | None:
         """Return the newest measured vertical (3,) at the stamp of a state [ns]; None if there is none."""
         newest = None
-        while self._imu and self._stamp(self._imu[0]) <= stamp:
+        while self._imu and self._imu[0][0] <= stamp:
             newest = self._imu.popleft()
         if newest is not None:
             with contextlib.suppress(StateError):
-                self._vertical = ros.stamp_of(newest), ros.inertial_of(ros.deserialized(newest, Imu))[0]
+                self._vertical = newest[0], ros.inertial_of(ros.deserialized(newest[1], Imu))[0]
         measured, up = self._vertical
         return up if 0 <= stamp - measured <= _OLD * 1e9 else None
-
-    @staticmethod
-    def _stamp(raw: bytes) -> int:
-        """Return the stamp of a serialised message [ns], 0 if it cannot be read."""
-        try:
-            return ros.stamp_of(raw)
-        except StateError:
-            return 0
 
     def begun(self, after: int, until: int) -> list[int]:
         """Return the start stamps of the phases in the interval (after, until] [ns], in order."""

@@ -28,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TARGETS = {
     "dqwalk_ros/nodes/safety.py": ("nodes/test_safety.py",),
     "dqwalk_ros/nodes/state_gate.py": ("nodes/test_state_gate.py",),
+    "dqwalk_ros/nodes/phase_log.py": ("nodes/test_phase_log.py",),
     "dqwalk_ros/report/viewer/guard.py": ("report/test_viewer.py",),
     "dqwalk_ros/nodes/inertial_sensor.py": ("nodes/test_inertial_sensor.py",),
     "dqwalk_ros/nodes/fall_watch.py": ("faults/test_liars.py",),
