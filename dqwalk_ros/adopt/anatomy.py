@@ -12,7 +12,7 @@ import itertools
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -321,56 +321,66 @@ def _is_below_body(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, .
 
 
 def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: bool) -> Anatomy:
+    """Return the parts of a biped whose legs end with the joints `pair`; `named` says that the user has named them."""
     urdf = skeleton.urdf
     _check_shapes(skeleton, pair)
     one, two = _branches(skeleton, *pair)
-    bare = _bare_ends(skeleton, pair)
-    if len(one) < 4:
-        raise ModelError(
-            f"this biped has only {len(one)} joints in a leg, too few to keep the soles flat on the ground in a walk"
-            + bare
-        )
+    _check_joints(skeleton, one, two)
     up = skeleton.pose(urdf.root).rotation_matrix()  # from the root's axes to axes with z up
-    shapes = [leg_of(*skeleton.lines(joints)) for joints in (one, two)]
-    if bare and not all(shapes):
-        raise ModelError(f"the legs end at '{one[-1]}' and '{two[-1]}', without hip, knee and ankle{bare}")
-    if not all(shapes):
-        names = ", ".join(one if not shapes[0] else two)
-        raise ModelError(f"this biped has a leg without knee or ankle: of {names} none bends it between hip and foot")
     yaw, one, two, ahead = _find_forward(skeleton, one, two, forward)
     skeleton = skeleton.turned(yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
     _check_led(skeleton, legs)
-    kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
+    _check_knees(skeleton, legs)
     left, right = (_leg(skeleton, joints) for joints in legs.values())
-    knees = [joints[leg.knee] for joints, leg in zip(legs.values(), (left, right), strict=True)]
-    if any(abs(skeleton.axis(knee) @ Y) < _LATERAL for knee in knees):
-        raise ModelError(
-            f"the knees '{knees[0]}' and '{knees[1]}' bend sideways: their axes are not along the line from leg to leg"
-            ", so the legs cannot step ahead; are x and y exchanged in the positions of the legs or in the axes?"
-        )
     hip, ankle = 0.5 * (left.hip + right.hip), 0.5 * (left.ankle + right.ankle)
-    toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
     parents = {urdf.joints[leg[0]].parent for leg in legs.values()}
     pelvis = parents.pop() if len(parents) == 1 else skeleton.heaviest(pelvis_body)
     hands, torso_body = _find_hands(skeleton, {*one, *two}, pelvis_body)
-    torso = skeleton.heaviest(torso_body)
     waist = tuple(joint for joint in skeleton.way(torso_body) if joint not in skeleton.way(pelvis_body))
-    arms = {foot: tuple(joint for joint in skeleton.chain[hand] if joint not in waist) for foot, hand in hands.items()}
-    imu = _find_imu(skeleton, pelvis_body, torso_body)
     sideways, turns = _freedom(skeleton, legs, float(hip[2] - ankle[2]))
+    kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
     if not sideways:
         _check_waist(skeleton, waist, kinds, 0.5 * abs(float((left.ankle - right.ankle)[1])))
     soles = find_soles(skeleton, legs, float(hip[2] - ankle[2]))
     ground = float(np.mean([sole.placed(skeleton).translation()[2] for sole in soles.values()]))
-    height = float(hip[2] - ground)
-    does = [text for can, text in ((sideways, "move sideways over flat soles"), (turns, "turn the feet")) if can]
+    y = [float(sole.placed(skeleton).translation()[1]) for sole in soles.values()]
+    apart, height = abs(y[0] - y[1]), float(hip[2] - ground)
+    if sideways:
+        apart = _sole_distance(apart, abs(float((left.hip - right.hip)[1])), soles[Foot.LEFT].width, height)
+    found = Anatomy(
+        turn=yaw @ up,
+        legs=legs,
+        kinds=kinds,
+        sideways=sideways,
+        turns=turns,
+        soles=soles,
+        pelvis=pelvis,
+        torso=skeleton.heaviest(torso_body),
+        imu=_find_imu(skeleton, pelvis_body, torso_body),
+        hands=hands,
+        arms={foot: tuple(j for j in skeleton.chain[hand] if j not in waist) for foot, hand in hands.items()},
+        waist=waist,
+        leg=height,
+        hips=skeleton.pose(urdf.root).conj() * DQ.from_pose(hip),
+        apart=apart,
+        evidence=(),
+    )
     chosen = "given by --left and --right" if named else "the chains that mirror each other and reach the ground"
-    evidence = [
+    return replace(found, evidence=_evidence(skeleton, found, chosen, ahead))
+
+
+def _evidence(skeleton: Skeleton, found: Anatomy, chosen: str, ahead: Sequence[Entry]) -> tuple[Entry, ...]:
+    """Return what was found, with the sources: that of the legs is `chosen`, and `ahead` are the directions."""
+    legs, one, two = found.legs, *found.legs.values()
+    toes = tuple(j for leg in legs.values() for j in skeleton.joints if leg[-1] in skeleton.way(j)[:-1])
+    can = ((found.sideways, "move sideways over flat soles"), (found.turns, "turn the feet"))
+    does = [text for does, text in can if does]
+    entries = [
         Entry("legs", f"{' '.join(one)} | {' '.join(two)}", chosen),
         *ahead,
-        Entry("axes of a leg", kinds, "axes of its joints: roll, pitch, yaw, or skew"),
+        Entry("axes of a leg", found.kinds, "axes of its joints: roll, pitch, yaw, or skew"),
         Entry(
             "locked in the legs", _locked(skeleton, legs), "joints between pelvis and foot that do not turn", "likely"
         ),
@@ -379,24 +389,42 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
         ),
         Entry("limits of the legs", _unlike_limits(skeleton, legs), "an axis or a limit is wrong", "guess"),
         Entry("the legs can", " and ".join(does) or "only bend", "rank of their axes with bent knees"),
-        *(Entry(f"{foot.value} sole", str(sole), sole.source, sole.confidence) for foot, sole in soles.items()),
+        *(Entry(f"{foot.value} sole", str(s), s.source, s.confidence) for foot, s in found.soles.items()),
         Entry("toes", " ".join(toes), "joints carried by the ankles: locked", "likely"),
-        Entry("pelvis", pelvis, "link that carries both legs"),
-        Entry("torso", torso, "body that carries both arms" if hands else "heaviest body above the legs"),
-        Entry("hands", ", ".join(hands.values()), "ends of the arms", "likely"),
-        Entry("inertial sensor", imu, "link name")
-        if imu
-        else Entry("inertial sensor", pelvis, "pelvis: no link is named like an inertial sensor", "guess"),
+        Entry("pelvis", found.pelvis, "link that carries both legs"),
+        Entry("torso", found.torso, "body that carries both arms" if found.hands else "heaviest body above the legs"),
+        Entry("hands", ", ".join(found.hands.values()), "ends of the arms", "likely"),
+        Entry("inertial sensor", found.imu, "link name")
+        if found.imu
+        else Entry("inertial sensor", found.pelvis, "pelvis: no link is named like an inertial sensor", "guess"),
     ]
-    y = [float(sole.placed(skeleton).translation()[1]) for sole in soles.values()]
-    return Anatomy(
-        yaw @ up, legs, kinds, sideways, turns, soles, pelvis, torso, imu, hands, arms, waist, height,
-        skeleton.pose(urdf.root).conj() * DQ.from_pose(hip),
-        _sole_distance(abs(y[0] - y[1]), abs(float((left.hip - right.hip)[1])), soles[Foot.LEFT].width, height)
-        if sideways
-        else abs(y[0] - y[1]),
-        tuple(entry for entry in evidence if entry.value),
-    )  # fmt: skip
+    return tuple(entry for entry in entries if entry.value)
+
+
+def _check_joints(skeleton: Skeleton, one: tuple[str, ...], two: tuple[str, ...]) -> None:
+    """Raise ModelError if two legs have too few joints, or no knee."""
+    bare = _bare_ends(skeleton, (one[-1], two[-1]))
+    if len(one) < 4:
+        raise ModelError(
+            f"this biped has only {len(one)} joints in a leg, too few to keep the soles flat on the ground in a walk"
+            + bare
+        )
+    shapes = [leg_of(*skeleton.lines(joints)) for joints in (one, two)]
+    if bare and not all(shapes):
+        raise ModelError(f"the legs end at '{one[-1]}' and '{two[-1]}', without hip, knee and ankle{bare}")
+    if not all(shapes):
+        names = ", ".join(one if not shapes[0] else two)
+        raise ModelError(f"this biped has a leg without knee or ankle: of {names} none bends it between hip and foot")
+
+
+def _check_knees(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
+    """Raise ModelError if the knees bend sideways."""
+    knees = [joints[_leg(skeleton, joints).knee] for joints in legs.values()]
+    if any(abs(skeleton.axis(knee) @ Y) < _LATERAL for knee in knees):
+        raise ModelError(
+            f"the knees '{knees[0]}' and '{knees[1]}' bend sideways: their axes are not along the line from leg to leg"
+            ", so the legs cannot step ahead; are x and y exchanged in the positions of the legs or in the axes?"
+        )
 
 
 def _check_waist(skeleton: Skeleton, waist: Sequence[str], kinds: str, needed: float) -> None:
