@@ -186,49 +186,18 @@ def _adopted(
     anatomy = replace(anatomy, pelvis=_add_frames(urdf, anatomy))
     soles = _add_soles(urdf, anatomy)
     shapes.name_files()
+    robot = _robot(folder, urdf, anatomy, soles)
     text = urdf.text()
-
-    sole = anatomy.soles[Foot.LEFT]
-    free = {joint for leg in anatomy.legs.values() for joint in leg}
-    if not anatomy.sideways:
-        free |= set(anatomy.waist)  # where the pelvis cannot move sideways, the trunk moves the CoM over a sole
-    robot = RobotConfig(
-        urdf=str(folder / "robot.urdf"),
-        pelvis=anatomy.pelvis,
-        left_sole=soles[Foot.LEFT],
-        right_sole=soles[Foot.RIGHT],
-        imu=anatomy.imu,
-        lock=_lock(urdf, free),
-        sole_length=float(f"{sole.length:.4g}"),
-        sole_width=float(f"{sole.width:.4g}"),
-    )
-    model = parse_model(text, robot)
     progress(0.3, "finding its postures")
-    numbers = _numbers(model, anatomy)
+    numbers = _numbers(parse_model(text, robot), anatomy)
     anatomy = numbers.anatomy
     if numbers.weak:
-        for name, effort in numbers.weak.items():
-            limit = urdf.joints[name].limit
-            urdf.repairs.append(
-                f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little for it or for others "
-                "of the legs with the same limit to stand on one foot, to move the pressure under it, or to swing the "
-                f"other leg: {effort:.3g} N m is assumed, which the servo must have"
-            )
-            limit.effort = effort
+        _strengthen(urdf, numbers.weak)
         text = urdf.text()
-        model = parse_model(text, robot)
-        numbers = replace(numbers, model=model)
-    about = robot_entries(model, anatomy, robot.lock, "those that walk")
-    entries = [*about, *parameters(numbers)]
+        numbers = replace(numbers, model=parse_model(text, robot))
+    about = robot_entries(numbers.model, anatomy, robot.lock, "those that walk")
     own, driven = drive_parameters(drives, numbers)
-    entries = changed(entries, own, "joints and actuators of the MJCF file")
-    if servos:
-        kinds = servo_types(servos, model.joint_names, load_types(Config().servo.table))
-        entries = changed(
-            entries, {"servo.types": kinds}, "given by --servo; for these joints from the table of servos"
-        )
-    entries = changed(entries, changes, "given by --set")
-    Config().updated({entry.what: entry.value for entry in entries})  # no file is written of invalid values
+    entries = _entries([*about, *parameters(numbers)], numbers.model, own, servos, changes)
     whole_body = []
     if anatomy.sideways and len(anatomy.hands) == len(Foot):
         whole_body = _whole_body(urdf, text, robot, numbers)
@@ -250,6 +219,61 @@ def _adopted(
     )  # fmt: skip
     write_text(folder / "adopt.json", json.dumps(_json(found, path), indent=1) + "\n", overwrite=overwrite)
     return found
+
+
+def _robot(folder: pathlib.Path, urdf: Urdf, anatomy: Anatomy, soles: Mapping[Foot, str]) -> RobotConfig:
+    """Return the section ``robot`` of a description with the frames `soles`."""
+    sole = anatomy.soles[Foot.LEFT]
+    free = {joint for leg in anatomy.legs.values() for joint in leg}
+    if not anatomy.sideways:
+        free |= set(anatomy.waist)  # where the pelvis cannot move sideways, the trunk moves the CoM over a sole
+    return RobotConfig(
+        urdf=str(folder / "robot.urdf"),
+        pelvis=anatomy.pelvis,
+        left_sole=soles[Foot.LEFT],
+        right_sole=soles[Foot.RIGHT],
+        imu=anatomy.imu,
+        lock=_lock(urdf, free),
+        sole_length=float(f"{sole.length:.4g}"),
+        sole_width=float(f"{sole.width:.4g}"),
+    )
+
+
+def _strengthen(urdf: Urdf, weak: Mapping[str, float]) -> None:
+    """Replace the effort limits of `weak` joints by those given [N m]."""
+    for name, effort in weak.items():
+        limit = urdf.joints[name].limit
+        urdf.repairs.append(
+            f"joint '{name}' has an effort limit of {limit.effort:.3g} N m, too little for it or for others "
+            "of the legs with the same limit to stand on one foot, to move the pressure under it, or to swing the "
+            f"other leg: {effort:.3g} N m is assumed, which the servo must have"
+        )
+        limit.effort = effort
+
+
+def _entries(
+    derived: Sequence[Entry],
+    model: RobotModel,
+    drives: Mapping[str, float],
+    servos: Sequence[str],
+    changes: Mapping[str, Any],
+) -> list[Entry]:
+    """Return the parameters of the standing walk: the `derived` ones, changed by file, servos and user in this order.
+
+    Raises
+    ------
+    ConfigError
+        If a value is invalid.
+    """
+    entries = changed(derived, drives, "joints and actuators of the MJCF file")
+    if servos:
+        kinds = servo_types(servos, model.joint_names, load_types(Config().servo.table))
+        entries = changed(
+            entries, {"servo.types": kinds}, "given by --servo; for these joints from the table of servos"
+        )
+    entries = changed(entries, changes, "given by --set")
+    Config().updated({entry.what: entry.value for entry in entries})  # no file is written of invalid values
+    return entries
 
 
 def _numbers(model: RobotModel, anatomy: Anatomy) -> Numbers:
@@ -365,11 +389,18 @@ def changed(entries: Sequence[Entry], changes: Mapping[str, Any], reason: str) -
 
 
 def write_dynamic(
-    folder: pathlib.Path, numbers: Numbers, entries: Sequence[Entry], given: Mapping[str, Any], *, overwrite: bool
+    folder: pathlib.Path,
+    numbers: Numbers,
+    entries: Sequence[Entry],
+    given: Mapping[str, Any],
+    cured: Mapping[str, Any] | None = None,
+    *,
+    overwrite: bool,
 ) -> None:
     """Write ``dynamic.yaml``, the configuration of the dynamic walk, from the `entries` of the standing walk.
 
-    Of the parameters `given` by the user, those of the standing walk's own steps and durations are not used.
+    Of the parameters `given` by the user, those of the standing walk's own steps and durations are not used; those of
+    `cured` were changed after a dynamic walk.
     """
     damping, stiffness = (
         next(entry.value for entry in entries if entry.what == what) for what in ("servo.damping", "servo.stiffness")
@@ -380,7 +411,8 @@ def write_dynamic(
     own = {k: v for k, v in given.items() if (k not in new or k.startswith(common)) and k != only}
     merged = [new.pop(entry.what, entry) for entry in entries if entry.what != only] + list(new.values())
     title = f"{numbers.model.name}: the dynamic walk (docs/dynamic.md)."
-    write_yaml(folder / "dynamic.yaml", changed(merged, own, "given by --set"), title, overwrite=overwrite)
+    merged = changed(changed(merged, own, "given by --set"), cured or {}, "changed after a walk that was not OK")
+    write_yaml(folder / "dynamic.yaml", merged, title, overwrite=overwrite)
 
 
 def _add_frames(urdf: Urdf, anatomy: Anatomy) -> str:

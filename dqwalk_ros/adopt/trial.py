@@ -1,9 +1,9 @@
-"""Walks with an adopted robot for the first time, and changes parameters if it falls."""
+"""Walks with an adopted robot for the first time, and changes parameters if it falls or lands beside its targets."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,13 +25,15 @@ from dqwalk_ros.support.errors import DqwalkError
 from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.table import make_controller
 
-__all__ = ["Trial", "cures", "dynamic_walk", "first_walks", "too_much", "walk"]
+__all__ = ["Trial", "best", "cures", "dynamic_walks", "first_walks", "too_much", "walk"]
 
 
 _LOADED = 0.01
 """Least part of a torque-speed line that is reported: joints without torque limit need less."""
 _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
+_YIELDS, _LEADS = 0.4, 0.5
+"""Factors of ``servo.window`` and ``servo.assumed_lead`` that may cure a dynamic walk."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class Trial:
         Causes of a fall, the earliest first.
     load : Load or None
         The servo that is closest to its torque-speed line, in physics.
+    changes : dict of str to value
+        The parameters that were changed after earlier walks.
     """
 
     plant: str
@@ -63,6 +67,7 @@ class Trial:
     note: str
     causes: tuple[Finding, ...] = ()
     load: Load | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if not self.stood:
@@ -97,7 +102,7 @@ def first_walks(
         entries = changed(found.entries, kept, f"changed after a fall: {', '.join(names)}")
         write_yaml(file, entries, f"{model.name}: the standing walk, changed after a fall.", overwrite=True)
         cured = load(file)
-        again = walk(cured, load_model(cured.robot), "physics", progress)
+        again = replace(walk(cured, load_model(cured.robot), "physics", progress), changes=kept)
         yield again, ", ".join(names)
         if again.stood:
             write_dynamic(found.folder, found.numbers, entries, given, overwrite=True)
@@ -105,16 +110,46 @@ def first_walks(
     write_yaml(file, found.entries, f"{model.name}: the standing walk.", overwrite=True)
 
 
-def dynamic_walk(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> Trial:
-    """Walk the dynamic walk in physics; its configuration is kept even if the robot falls.
+def dynamic_walks(
+    found: Adoption,
+    given: Mapping[str, Any],
+    standing: Mapping[str, Any],
+    progress: Callable[[float, str], None] = lambda *_: None,
+) -> Iterator[tuple[Trial, str]]:
+    """Walk the dynamic walk in physics; if it falls or its report is not OK, try changes of the servos' commands.
 
-    Where something is wrong with it, the `note` also says which joint cannot do its steps.
+    Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
+    cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
+    Where something is wrong, the `note` also says which joint cannot do the steps.
     """
-    config = load(found.folder / "dynamic.yaml")
-    model = load_model(config.robot)
-    done = walk(config, model, "physics", lambda share, text: progress(share, f"dynamic walk in {text}"))
-    wrong = "; ".join(text for text in (done.note, too_much(config, model) if done.note else "") if text)
-    return replace(done, plant="dynamic walk", note=wrong)
+
+    def trial() -> Trial:
+        config = load(found.folder / "dynamic.yaml")
+        model = load_model(config.robot)
+        done = walk(config, model, "physics", lambda share, text: progress(share, f"dynamic walk in {text}"))
+        wrong = "; ".join(text for text in (done.note, too_much(config, model) if done.note else "") if text)
+        return replace(done, plant="dynamic walk", note=wrong)
+
+    servo = load(found.folder / "dynamic.yaml").servo
+    yields = {"servo.window": rounded(max(_YIELDS * servo.window, 1e-3), 2)}
+    follows = {"servo.assumed_lead": rounded(_LEADS * servo.assumed_lead, 2)}
+    more, less = f"legs that yield more ({_YIELDS:g} times servo.window)", f"{_LEADS:g} times servo.assumed_lead"
+    entries, walks = changed(found.entries, standing, "changed after a fall"), list[Trial]()
+    for what, changes in (("", {}), (more, yields), (f"{more}, {less}", yields | follows)):
+        kept = {key: value for key, value in changes.items() if key not in given}
+        if what and not kept:
+            continue
+        write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)
+        walks.append(replace(trial(), changes=kept))
+        yield walks[-1], what
+        if not walks[-1].note:
+            return
+    write_dynamic(found.folder, found.numbers, entries, given, best(walks).changes, overwrite=True)
+
+
+def best(walks: Sequence[Trial]) -> Trial:
+    """Return the first walk with an OK report, or else the first that stood, or else the first."""
+    return min(walks, key=lambda walk: (not walk.stood, bool(walk.note)))
 
 
 def too_much(config: Config, model: RobotModel) -> str:

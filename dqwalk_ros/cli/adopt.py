@@ -174,21 +174,23 @@ def _page(found: Adoption, port: int | None) -> Page:
 
 def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
     """Test the walks, print their results, and return the exit code."""
-    from dqwalk_ros.adopt.trial import dynamic_walk, first_walks
+    from dqwalk_ros.adopt.trial import Trial, best, dynamic_walks, first_walks
     from dqwalk_ros.cli.progress import Progress
 
-    last = None
+    last, fast = None, list[Trial]()
     with Progress(quiet=quiet) as bar:
         for result, cure in first_walks(found, given, bar):
             bar.print(f"{result}" + (f" {'cured by' if result.stood else 'in spite of'}: {cure}" if cure else ""))
             last = result
-        if last is not None and last.stood:
-            bar.print(str(fast := dynamic_walk(found, bar)))
-    if last is None or not last.stood:
+        for result, cure in dynamic_walks(found, given, last.changes, bar) if last is not None and last.stood else ():
+            bar.print(f"{result}" + (f" {'in spite of' if result.note else 'cured by'}: {cure}" if cure else ""))
+            fast.append(result)
+    if not fast:
         print("no cure helped")
         return 1
-    for file in ("robot.yaml", "dynamic.yaml") if fast.stood else ("robot.yaml",):
+    stands = best(fast).stood
+    for file in ("robot.yaml", "dynamic.yaml") if stands else ("robot.yaml",):
         print(f"dqwalk simulate --config {found.folder / file} --plant physics")
     fallen = "the standing walk stands in physics, the dynamic walk falls"
-    print(f"adopted: {'the standing and the dynamic walk stand in physics' if fast.stood else fallen}")
+    print(f"adopted: {'the standing and the dynamic walk stand in physics' if stands else fallen}")
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,10 @@ import trimesh
 from robots import edited
 
 from dqwalk_ros import cli
-from dqwalk_ros.adopt import Adoption, adopt
+from dqwalk_ros.adopt import Adoption, adopt, trial
 from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
-from dqwalk_ros.adopt.trial import too_much
+from dqwalk_ros.adopt.trial import Trial, dynamic_walks, too_much
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -238,6 +239,41 @@ def test_a_joint_that_cannot_do_the_steps_of_the_dynamic_walk_is_named(small: Ad
     assert re.fullmatch(
         r"its steps need [1-9]\.\d+ rad/s of ._knee, whose limit is 0.50 rad/s .*", too_much(config, slow)
     )
+
+
+FINE, BESIDE, FELL = (
+    Trial("physics", stood, 1.0, 1.0, note) for stood, note in ((True, ""), (True, "landed 9 mm off"), (False, "fell"))
+)
+
+
+@pytest.mark.parametrize(
+    ("walks", "given", "factors"),
+    [
+        ([FINE], (), (1.0, 1.0)),
+        ([BESIDE, FINE], (), (0.4, 1.0)),
+        ([BESIDE, FELL, FINE], (), (0.4, 0.5)),
+        ([FELL, BESIDE, BESIDE], (), (0.4, 1.0)),
+        ([BESIDE, FELL, BESIDE], (), (1.0, 1.0)),
+        ([BESIDE, FINE], ("servo.window",), (1.0, 0.5)),
+    ],
+)
+def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user_is_changed(
+    walks: list[Trial],
+    given: tuple[str, ...],
+    factors: tuple[float, float],
+    small: Adoption,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = load(small.folder / "dynamic.yaml").servo
+    own = {key: getattr(before, key.partition(".")[2]) for key in given}
+    shutil.copytree(small.folder, tmp_path / "robot")
+    found, left = replace(small, folder=tmp_path / "robot"), iter(walks)
+    monkeypatch.setattr(trial, "walk", lambda *_: next(left))
+    assert [done.stood for done, _ in dynamic_walks(found, own, {})] == [one.stood for one in walks]
+    after = load(tmp_path / "robot" / "dynamic.yaml").servo
+    assert after.window == pytest.approx(factors[0] * before.window)
+    assert after.assumed_lead == pytest.approx(factors[1] * before.assumed_lead, rel=0.03)
 
 
 def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_steps(tmp_path: Path) -> None:
