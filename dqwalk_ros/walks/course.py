@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
-from dqwalk_ros.controller import VelocityController
-from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.support.errors import ConfigError
+
+if TYPE_CHECKING:  # the node pilot only publishes velocities
+    from dqwalk_ros.controller import VelocityController
+    from dqwalk_ros.paper.walk import Walk
 
 __all__ = ["Course", "Leg", "speeds"]
 
