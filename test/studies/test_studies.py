@@ -29,6 +29,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.report.figures.studies import robustness_figure
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.studies import loads, pushes, read, robustness, walk_all
 from dqwalk_ros.studies.bisection import largest
@@ -391,6 +392,26 @@ def test_robustness_as_built_varies_gain_and_seed():
     values = [{"servo.p_gain": 254.0, "sensors.seed": k} for k in range(3)]
     done = [(one, robustness.CellOutcome(True, 1.0, 3, "", 0.001 * k)) for k, one in enumerate(values)]
     assert "the largest of each walk: median 0.06, worst 0.11 degrees" in table(done, axes)
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        robustness.axes_of(POPPY),
+        {"servo.p_gain": (254, 127), "sensors.seed": tuple(range(20))},
+        {"servo.p_gain": (254,), "physics.slope": (-0.05, 0.0, 0.05), "sensors.seed": tuple(range(10))},
+        {"servo.stiffness": (60.0, 90.0)},
+        {"physics.friction": (0.4,)},
+    ],
+)
+def test_the_figure_of_any_axes_shows_each_cell_and_all_its_texts(axes):
+    cells = robustness.cells(axes)
+    done = [(cell, robustness.CellOutcome(k > 0, 1.0, 3, "")) for k, cell in enumerate(cells)]
+    figure = robustness_figure(done, axes, 10)
+    assert sum(len(plot.patches) for plot in figure.axes) == len(cells)
+    assert "".join(text.get_text() for plot in figure.axes for text in plot.texts) == "3"  # steps of the one that fell
+    figure.draw_without_rendering()
+    assert figure.bbox_inches.padded(0.01).count_contains(figure.get_tightbbox().corners()) == 4
 
 
 def test_a_robot_with_weak_servos_falls(tmp_path):

@@ -144,19 +144,27 @@ _FELL = ("#7a0916", "#d1242f", "#f0a3a8")
 
 @drawing()
 def robustness_figure(done: Sequence[Cell], axes: Mapping[str, Sequence[float]], steps: int) -> Figure:
-    """Draw a panel per stiffness, a row per servo, a column per floor and mass.
+    """Draw a panel per stiffness, a row per servo, a column per floor and mass; else one per value of the longest axis.
 
     Cells that fell show the number of their steps, of the `steps` of a whole walk.
     """
+    varied = [name for name in axes if len(axes[name]) > 1]
+    across = [name for name in varied if name in _COLUMNS]
+    across = across or sorted(varied, key=lambda name: len(axes[name]))[-1:]
     groups = (
-        [name for name in axes if name == _PANEL],
-        [name for name in axes if name not in (*_COLUMNS, _PANEL)][::-1],
-        [name for name in axes if name in _COLUMNS],
+        [name for name in varied if name == _PANEL and name not in across],
+        [name for name in varied if name not in (*across, _PANEL)][::-1],
+        across,
     )
     panels, rows, columns = (list(itertools.product(*(axes[name] for name in names))) for names in groups)
-    known = {frozenset(values.items()): end for values, end in done}
+    known = {frozenset((name, values[name]) for name in varied): end for values, end in done}
     shade = LinearSegmentedColormap.from_list("fell", _FELL)
-    fig = new_figure(1.9 + len(panels) * (0.9 + 0.24 * len(columns)), 1.5 + 0.26 * len(rows))
+    beside, below = (
+        max(len(_described(names, one)) for one in every)
+        for names, every in zip(groups[1:], (rows, columns), strict=True)
+    )
+    width = 0.6 + 0.06 * beside + len(panels) * (0.9 + 0.24 * len(columns))
+    fig = new_figure(max(width, 4.6), 1.2 + 0.06 * below + 0.26 * len(rows))
     plots = fig.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for ax, panel in zip(plots, panels, strict=True):
         ends = []
@@ -190,7 +198,7 @@ def robustness_figure(done: Sequence[Cell], axes: Mapping[str, Sequence[float]],
 def _described(names: Sequence[str], values: Sequence[float]) -> str:
     words = []
     for name, value in zip(names, values, strict=True):
-        word, form, scale, shift = _WORD.get(name, (name, "{:g}", 1.0, 0.0))
+        word, form, scale, shift = _WORD.get(name, (name.rpartition(".")[2].replace("_", " "), "{:g}", 1.0, 0.0))
         words.append(f"{word} {form.format(scale * value + shift)}")
     return ", ".join(words)
 
