@@ -259,7 +259,7 @@ class Assembly:
         watched = Watched.of([feature for item in stacked[:-2] for feature in item.watches], tree)
         observe(kin.bodies, watched)
         seen = [*(watched.s[at] for at in columns[:-2]), kin.q, kin.q]
-        found = [len(item.evaluate(s)[0]) for item, s in zip(stacked, seen, strict=True)]
+        found = [_checked(item, s) for item, s in zip(stacked, seen, strict=True)]
         sizes = found[: len(tasks)]
         for constraint, size, count in zip(every, found[len(tasks) :], counts, strict=True):
             if size != count:
@@ -343,6 +343,18 @@ class Assembly:
             else:
                 out[name] = part.min(axis=-1)
         return out
+
+
+def _checked(item: Quantity, s: Array) -> int:
+    """Return the number of values of a task or constraint; what else its function returns must have fitting shapes."""
+    value, gradient, rate = item.evaluate(s)
+    shapes, wanted = (gradient.shape, rate.shape), ((len(value), len(s)), value.shape)
+    if shapes != wanted:
+        raise ValueError(
+            f"{item.name}: gradient and rate of {len(value)} values of {len(s)} coordinates have the shapes "
+            f"{shapes[0]} and {shapes[1]}, not {wanted[0]} and {wanted[1]}"
+        )
+    return len(value)
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:

@@ -21,6 +21,7 @@ import numba
 import numpy as np
 from numba import extending, types
 from numba.core import cgutils, event
+from numba.np import arrayobj
 
 from dqwalk_ros.support.cache import cache_folder
 
@@ -88,6 +89,26 @@ class _CompilationNotice(event.Listener):
 
 
 event.register("numba:compile", _CompilationNotice())
+
+
+def _wrong_shape(given: Any, wanted: Any) -> None:
+    """Raise the error of an assignment to a part of an array, without the two shapes.
+
+    numba itself writes them into the message. The machine code for that is ten times as long as the assignment, and
+    was half of what is compiled once and loaded by every process.
+    """
+    raise NotImplementedError
+
+
+@extending.overload(_wrong_shape)
+def _wrong_shape_of(given: Any, wanted: Any) -> Any:
+    def raises(given: Any, wanted: Any) -> None:
+        raise ValueError("cannot assign an array of another shape to a part of an array")
+
+    return raises
+
+
+arrayobj.raise_with_shape_context = _wrong_shape
 
 
 def jit(function: Callable[..., Any]) -> Any:

@@ -188,6 +188,17 @@ class Scalar(PointOverPlane):
     function = scalar
 
 
+@jit
+def flat(s, a, elapsed):
+    return s[2:] - a[0], np.zeros((1, 2)), np.zeros(1)
+
+
+class Flat(PointOverPlane):
+    """A constraint whose gradient lacks a coordinate."""
+
+    function = flat
+
+
 class Nameless(Apart):
     """A constraint of two rows with one name."""
 
@@ -198,8 +209,12 @@ class Nameless(Apart):
 def test_a_function_of_another_form_is_refused():
     phase = phase_of(*KINDS[0])
     row = phase.inequalities[-1]
-    one, two = Scalar(name="own", eta=3.0, point=row.point, plane=row.plane), Nameless(name="both", eta=1.0)
-    for wrong, error in ((one, "scalar is not of the type"), (two, "both has 2 distances, but names 1")):
+    same = {"name": "own", "eta": 3.0, "point": row.point, "plane": row.plane}
+    for wrong, error in (
+        (Scalar(**same), "scalar is not of the type"),
+        (Flat(**same), r"own: gradient .* \(1, 2\) and \(1,\), not \(1, 3\) and \(1,\)"),
+        (Nameless(name="both", eta=1.0), "both has 2 distances, but names 1"),
+    ):
         with pytest.raises((TypeError, ValueError), match=error):
             dataclasses.replace(phase, inequalities=(wrong,)).evaluate(phase.q_start)
 
