@@ -33,6 +33,8 @@ WAY = 0.8
 """Least fraction of the path of its steps that a walk covers; below it, the robot stepped on the spot."""
 _TOUCH = 1e-4
 """Distance beyond an edge up to which the centre of pressure counts as inside, because contacts are soft [m]."""
+_UNLOADED = 1e-2
+"""Load of both feet below which the robot is in the air, so that there is no centre of pressure [N]."""
 _TURNED = np.radians(60.0)
 """Turn above which a circle is fitted to the path [rad]."""
 
@@ -173,9 +175,14 @@ class Ground:
         return commanded_way(span.phase for span in self._series.spans if not span.double and span.ending is not None)
 
     @property
-    def inside(self) -> float:
-        """Fraction of the ticks whose centre of pressure is inside; ticks in the air count as outside."""
-        return float(np.mean(np.nan_to_num(self.cop_margin, nan=-np.inf) >= -_TOUCH))
+    def inside(self) -> float | None:
+        """Fraction of the ticks whose centre of pressure is inside, of those that are recorded; None without any.
+
+        Ticks in the air count as outside: their wrenches are recorded, and zero.
+        """
+        load = sum(self.physics.wrenches[foot][:, 2] for foot in Foot)
+        known = np.isfinite(self.cop_margin) | (load < _UNLOADED)
+        return float(np.mean(np.nan_to_num(self.cop_margin[known], nan=-np.inf) >= -_TOUCH)) if known.any() else None
 
     @property
     def fallen(self) -> bool:

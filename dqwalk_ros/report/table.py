@@ -139,9 +139,9 @@ def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
     if of["landing_height"] is not None:
         height = mm * of["landing_height"]
         lines.append(("  landing height", f"at most {height:.1f} mm when touchdown is assumed"))
-    margin = "" if of["cop_margin"] is None else f"; at worst {mm * of['cop_margin']:+.1f} mm"
-    inside = 100.0 * of["cop_inside"]
-    lines.append(("  pressure", f"centre inside the support polygon on {inside:.2f} % of ticks{margin}"))
+    if (inside := of["cop_inside"]) is not None:
+        margin = "" if of["cop_margin"] is None else f"; at worst {mm * of['cop_margin']:+.1f} mm"
+        lines.append(("  pressure", f"centre inside the support polygon on {100.0 * inside:.2f} % of ticks{margin}"))
     if (load := of["swing_load"]) is not None:
         lines.append(("  swing foot", f"carries {100.0 * load:.1f} % of the weight while it swings (median)"))
     if (error := of["load_error"]) is not None:

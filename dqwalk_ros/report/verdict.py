@@ -281,10 +281,11 @@ def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
     if of.tilt[tick] > TILT:
         text = f"the support sole is tilted by {np.degrees(of.tilt[tick]):.2f} degrees"
         yield _broken(series, "tilt", tick, float(of.tilt[tick]), float(TILT), text)
-    if of.inside < COP_INSIDE:
-        text = f"the centre of pressure is inside the support polygon on {100 * of.inside:.2f} % of ticks only"
+    inside = of.inside
+    if inside is not None and inside < COP_INSIDE:
+        text = f"the centre of pressure is inside the support polygon on {100 * inside:.2f} % of ticks only"
         tick = int(np.argmin(np.nan_to_num(of.cop_margin, nan=-1.0)))
-        yield Violation("cop", "", float(series.time[tick]), of.inside, COP_INSIDE, text)
+        yield Violation("cop", "", float(series.time[tick]), inside, COP_INSIDE, text)
 
 
 def _unit_norm_error(series: Series) -> float:

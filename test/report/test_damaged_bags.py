@@ -218,6 +218,30 @@ def test_impossible_values_give_at_most_one_line(path, tmp_path, capsys, monkeyp
         assert report["walk"]["ticks"] > 400
 
 
+def test_phases_whose_states_are_missing_are_not_judged(trace, path, tmp_path):
+    """The walk has finished, but of its last phases there is no state: the recording is cut off."""
+    last = int(1e9 * trace.phases[1].time)
+
+    def edit(topic, time, message):
+        return None if time > last else (time, message)
+
+    code, report = reported(rewrite(path, tmp_path / "b", edit=edit, edits="/joint_states"), tmp_path / "out")
+    assert code == 0
+    assert report["walk"]["cut"]
+    assert not report["walk"]["finished"]
+    assert any("after the last state, and is left out" in note for note in report["notes"])
+
+
+def test_a_text_that_is_damaged_does_not_hide_the_walk(trace, path):
+    content = bag.content_of(path)
+    found = content.columns["/phase"]
+    for row in range(0, len(found.raws), 3):
+        found.raws[row] = found.raws[row][:8] + b"\xff\xfe" + found.raws[row][10:]
+    read = bag.read(content)
+    assert read.finished
+    assert [one.name for one in read.phases] == [one.name for one in trace.phases]
+
+
 def test_topics_of_another_bag_are_shortened(path, tmp_path):
     """Escape sequences and long lists of topic names are not printed."""
     names = iter([f"/\x1b[31m{'x' * 300}{k}" for k in range(20)])

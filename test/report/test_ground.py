@@ -7,12 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from recorded import short_walk
+from recorded import rewrite, short_walk
 
 from dqwalk_ros import report as reporting
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.report import bag
 from dqwalk_ros.report.ground import Circle, commanded_way, shortfall
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.trace import PhysicsRecord
@@ -45,7 +46,7 @@ def test_a_circle_is_fitted_through_points() -> None:
     assert circle.deviation < 1e-9
 
 
-def on_the_ground(trace, effort):
+def on_the_ground(trace, effort, **other):
     """Return the series of a walk in physics, with some torques of the joints (N, n)."""
     count = len(trace)
     known = PhysicsRecord(
@@ -58,7 +59,37 @@ def on_the_ground(trace, effort):
         q=trace.q,
         effort=effort,
     )
-    return reporting.analyse(dataclasses.replace(trace, physics=known))
+    return reporting.analyse(dataclasses.replace(trace, physics=dataclasses.replace(known, **other)))
+
+
+def test_a_centre_of_pressure_that_is_not_recorded_is_not_judged(trace):
+    """In the air there is none, which is known from the wrenches."""
+    effort, lost = np.zeros((len(trace), trace.model.n)), np.full((len(trace), 3), np.nan)
+    series = on_the_ground(trace, effort, cop=lost)
+    assert series.ground.inside is None
+    found = reporting.report(series)
+    assert found["physics"]["cop_inside"] is None
+    assert not any("centre of pressure" in one["message"] for one in found["violations"])
+    recorded = on_the_ground(trace, effort).ground
+    half = np.where(np.arange(len(trace))[:, None] % 2, recorded.physics.cop, np.nan)
+    inside = np.isfinite(recorded.cop_margin) & (recorded.cop_margin >= -1e-4)
+    assert on_the_ground(trace, effort, cop=half).ground.inside == np.mean(inside[1::2])
+    airborne = {foot: np.zeros((len(trace), 6)) for foot in Foot}
+    assert on_the_ground(trace, effort, cop=lost, wrenches=airborne).ground.inside == 0.0
+
+
+def test_true_angles_are_read_by_the_names_of_their_joints(trace, tmp_path):
+    known = on_the_ground(trace, np.zeros((len(trace), trace.model.n))).trace
+    bag.write(known, tmp_path / "a")
+
+    def turn(topic, time, message):
+        """Reverse the joints, and add one."""
+        message.name = [*reversed(message.name), "gripper"]
+        message.position = np.append(message.position[::-1], 9.0)
+        return time, message
+
+    rewrite(tmp_path / "a", tmp_path / "b", edit=turn, edits="/true_joint_states")
+    np.testing.assert_array_equal(bag.read(tmp_path / "b").physics.q, known.physics.q)
 
 
 def test_power_is_torque_times_velocity(trace):

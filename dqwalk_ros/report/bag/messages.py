@@ -94,8 +94,15 @@ def text(value: str) -> bytes:
 
 
 def texts(column: Column) -> list[str]:
-    """Return the texts of a column of std_msgs/String."""
-    return [str(unpack(raw, column.type).data) for raw in column.raws]
+    """Return the texts of a column of std_msgs/String; damaged ones are empty."""
+    return [_text_of(raw, column.type) for raw in column.raws]
+
+
+def _text_of(raw: bytes, kind: str) -> str:
+    try:
+        return str(unpack(raw, kind).data)
+    except BagError:
+        return ""
 
 
 def stamped(kind: str, frame: str = "", *, stamp: int = 0, **values: Any) -> Any:

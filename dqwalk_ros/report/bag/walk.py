@@ -219,7 +219,7 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
     stamps, q = stamps[walking & whole], q[walking & whole]
     u = _commands(bag, stamps)
     unanswered = np.flatnonzero(np.isnan(u).any(axis=1))
-    last_phase = texts(bag.columns["phase"])[-1]
+    last_phase = next((name for name in reversed(texts(bag.columns["phase"])) if name), "")
     if last_phase in (FAILED, FALLEN):
         notes.append("the walk failed: a phase could not end by its rule")
     if last_phase == FINISHED and len(unanswered) < len(u):  # states after the end of the walk are omitted
@@ -228,6 +228,7 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
     if len(unanswered):
         notes.append(f"{len(unanswered)} of {len(stamps)} states have no command")
     epoch = int(stamps[0]) if stamps[0] > _CLOCK else 0
+    whole_walk = max(starts) <= int(stamps[-1])  # else the states of its last phases are missing
     return Trace(
         config=bag.config,
         model=model,
@@ -236,13 +237,13 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
         u=u,
         phases=_records(bag, starts, stamps, epoch),
         solve_time=np.full(len(stamps), np.nan),
-        finished=last_phase == FINISHED,
+        finished=last_phase == FINISHED and whole_walk,
         notes=tuple(notes),
         origin=bag.origin,
         physics=_physics(bag, stamps),
         loads=known_loads(np.column_stack([force[:, 2] for force in _forces(bag, stamps, "load").values()])),
         epoch=epoch,
-        cut=bag.cut and last_phase not in (FINISHED, FAILED, FALLEN),
+        cut=not whole_walk or (bag.cut and last_phase not in (FINISHED, FAILED, FALLEN)),
     )
 
 
@@ -278,8 +279,8 @@ def _starts(bag: Recording) -> dict[int, PhaseRecord]:
     # a name is published again after a pause, so it does not identify its start
     in_order = len(names) == len(begun.stamps) == len(columns["phase_start"].raws) and None not in known
     if None in known:
-        strange = ascii(names[known.index(None)])[:60]
-        bag.notes.append(f"unknown phase {strange}: phases are identified by their base sole and swing target")
+        strange = shown(names[known.index(None)])
+        bag.notes.append(f"unknown phase '{strange}': phases are identified by their base sole and swing target")
     found: dict[int, PhaseRecord] = {}
     for i, stamp in enumerate(begun.stamps.tolist()):
         base, q, target = model.foot_of[begun.frames[i]], begun.position[i], targets.get(stamp)
@@ -290,7 +291,10 @@ def _starts(bag: Recording) -> dict[int, PhaseRecord]:
             name, (kind, support) = names[i], parsed
         time = stamp / NS
         if base is not (support if kind is PhaseKind.SINGLE_SUPPORT else support.other):
-            raise BagError(f"'{path}': {name} cannot stand on the {base.value} foot")
+            raise BagError(
+                f"'{path}': {name} at {time:.3f} s cannot stand on the {base.value} foot: messages of phase, "
+                "phase_start or swing_target are missing or in another order"
+            )
         if kind is PhaseKind.SINGLE_SUPPORT and target is None:
             raise BagError(f"'{path}': the swing target of {name} at {time:.3f} s is missing")
         if not (np.abs(q) < _FARTHEST).all() or not (target is None or _is_pose(target)):
@@ -391,6 +395,15 @@ def _physics(bag: Recording, stamps: Stamps) -> PhysicsRecord | None:
         orientation=imu[:, [3, 0, 1, 2]],
         gyro=imu[:, 13:16],
         acceleration=imu[:, 25:28],
-        q=aligned(columns.get("true_joint_states"), stamps, bag.states.effort.shape[1]),
+        q=_true_angles(bag, stamps),
         effort=bag.states.effort[bag.rows[np.searchsorted(bag.stamps, stamps)]],
     )
+
+
+def _true_angles(bag: Recording, stamps: Stamps) -> Array:
+    """Return the true joint angles of each state, shape (N, n) [rad]; nan where they are missing."""
+    names = bag.model.joint_names
+    if (column := bag.columns.get("true_joint_states")) is None:
+        return np.full((len(stamps), len(names)), np.nan)
+    found = joint_states(column, names)
+    return at_stamps(stamps, found.stamps, found.position)

@@ -251,7 +251,8 @@ def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
         set_time_limits(ax, series)
     axes[0].axhline(0.0, color=RED, linestyle=DASHED, linewidth=1.2)
     axes[0].set_ylabel("margin [mm]")
-    axes[0].set_title(f"B   Centre of pressure inside its soles: {100.0 * of.inside:.2f} % of ticks")
+    share = "not recorded" if of.inside is None else f"{100.0 * of.inside:.2f} % of ticks"
+    axes[0].set_title(f"B   Centre of pressure inside its soles: {share}")
     if most > 0.5 * np.degrees(TILT):
         axes[1].axhline(np.degrees(TILT), color=RED, linestyle=DASHED, linewidth=1.2)
     axes[1].set_ylim(bottom=0.0)
