@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dqwalk_ros.adopt.arms import find_hands, find_imu
 from dqwalk_ros.adopt.doubts import check_sizes
 from dqwalk_ros.adopt.legs import Leg, axes_differ, bent, freedom, leg_of
 from dqwalk_ros.adopt.skeleton import Entry, Skeleton
@@ -337,7 +338,7 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
     parents = {urdf.joints[leg[0]].parent for leg in legs.values()}
     pelvis = parents.pop() if len(parents) == 1 else skeleton.heaviest(pelvis_body)
-    hands, torso_body = _find_hands(skeleton, {*one, *two}, pelvis_body)
+    hands, torso_body = find_hands(skeleton, {*one, *two}, pelvis_body)
     waist = tuple(joint for joint in skeleton.way(torso_body) if joint not in skeleton.way(pelvis_body))
     sideways, turns = _freedom(skeleton, legs, float(hip[2] - ankle[2]))
     kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
@@ -358,7 +359,7 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
         soles=soles,
         pelvis=pelvis,
         torso=skeleton.heaviest(torso_body),
-        imu=_find_imu(skeleton, pelvis_body, torso_body),
+        imu=find_imu(skeleton, pelvis_body, torso_body),
         hands=hands,
         arms={foot: tuple(j for j in skeleton.chain[hand] if j not in waist) for foot, hand in hands.items()},
         waist=waist,
@@ -670,59 +671,3 @@ def _length_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahe
         return float(np.sign(front - back))
     ratio = math.log(front / back)
     return 0.0 if abs(ratio) < math.log(1.15) else float(np.clip(ratio / math.log(1.6), -1.0, 1.0))
-
-
-# ---------------------------------------------------------------------- arms and sensors
-
-
-def _find_hands(skeleton: Skeleton, legs: set[str], pelvis: str) -> tuple[dict[Foot, str], str]:
-    """Return the links at the ends of the arms, and the body that carries the arms."""
-    carried: dict[str, list[str]] = {}
-    for body in skeleton.joints:
-        carried.setdefault(skeleton.way(body)[-2] if len(skeleton.way(body)) > 1 else "", []).append(body)
-    led = {joint.mimic.joint for joint in skeleton.urdf.joints.values() if joint.mimic}
-    arms: list[tuple[float, tuple[str, ...], tuple[str, ...]]] = []
-    for siblings in carried.values():
-        free = [body for body in siblings if body not in legs]
-        for a, b in itertools.combinations(free, 2):
-            first, second = (_unbranched(carried, led, body) for body in (a, b))
-            if len(first) == len(second) and _mirrored_arms(skeleton, first, second):
-                reach = float(np.linalg.norm(skeleton.place(first[-1]) - skeleton.place(first[0])))
-                arms.append((reach, first, second))
-    others = [body for body in skeleton.bodies if not set(skeleton.way(body)) & legs]
-    if not arms:
-        return {}, max(others, key=skeleton.mass) if others else pelvis
-    _, first, second = max(arms)
-    if skeleton.place(first[-1])[1] < skeleton.place(second[-1])[1]:
-        first, second = second, first
-    way = skeleton.way(first[0])
-    hands = {foot: skeleton.joints[arm[-1]].child for foot, arm in ((Foot.LEFT, first), (Foot.RIGHT, second))}
-    return hands, way[-2] if len(way) > 1 else ""
-
-
-def _unbranched(carried: dict[str, list[str]], led: set[str], body: str) -> tuple[str, ...]:
-    """Return the chain that starts at a body, up to its end, a branch, or a joint that fingers mimic."""
-    chain = [body]
-    while len(carried.get(chain[-1], ())) == 1 and carried[chain[-1]][0] not in led:
-        chain += carried[chain[-1]]
-    return tuple(chain)
-
-
-def _mirrored_arms(skeleton: Skeleton, a: Sequence[str], b: Sequence[str]) -> bool:
-    if len(a) < 2:
-        return False
-    p, q = (np.array([skeleton.place(joint) for joint in arm]) for arm in (a, b))
-    size = float(np.ptp(np.concatenate([p, q]), axis=0).max())
-    return bool(np.abs(p * [1.0, -1.0, 1.0] - q)[:, [0, 2]].max() < 0.05 * size and p[-1, 1] * q[-1, 1] < 0.0)
-
-
-_IMU = re.compile(r"(?<![a-z])(imu|gyro|accelerometer|ahrs|inertial)(?![a-z])", re.IGNORECASE)
-
-
-def _find_imu(skeleton: Skeleton, pelvis: str, torso: str) -> str:
-    """Return a link of the pelvis, or else of the torso, that is named like an inertial sensor; empty if none is."""
-    for body in (pelvis, torso):
-        named = [link for link in skeleton.bodies[body] if _IMU.search(link)]
-        if named:
-            return min(named, key=len)
-    return ""
