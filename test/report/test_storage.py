@@ -84,8 +84,10 @@ def test_messages_of_other_programs_are_skipped(foreign: str, tmp_path: Path) ->
     assert (len(walked), walked.finished, walked.cut, walked.notes) == (STATES, True, False, ())
 
 
-@pytest.mark.parametrize("chunked", [True, False])
-@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
+@pytest.mark.parametrize(
+    ("compression", "chunked"),
+    [(CompressionType.NONE, False), *((kind, True) for kind in CompressionType)],  # only chunks are compressed
+)
 @pytest.mark.parametrize("foreign", ["a large image", "a large state"])
 def test_large_messages_are_skipped(foreign: str, compression: CompressionType, chunked: bool, tmp_path: Path) -> None:
     copied(tmp_path / "walk.mcap", foreign, compression, chunked)

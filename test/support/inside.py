@@ -10,6 +10,7 @@ import copy
 import functools
 import importlib
 import time
+from collections import UserList
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -45,17 +46,37 @@ class Log:
         return any(text in line for _, line in self.lines)
 
 
+class Messages(UserList[Any]):
+    """Messages as they were when they were published; those of ROS are serialized until a test reads them."""
+
+    def add(self, msg: Any) -> None:
+        of_ros = hasattr(msg, "get_fields_and_field_types")
+        self.data.append((type(msg), serialize_message(msg)) if of_ros else copy.deepcopy(msg))
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        if isinstance(found := self.data[index], tuple):
+            found = self.data[index] = deserialize_message(found[1], found[0])
+        return found
+
+    def pop(self, index: int = -1) -> Any:
+        found = self[index]
+        del self.data[index]
+        return found
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Messages) and list(self) == list(other)
+
+
 class RecordingPublisher:
     """A publisher that also records its messages."""
 
-    def __init__(self, real: Any, box: list[Any]) -> None:
+    def __init__(self, real: Any, box: Messages) -> None:
         self._real, self._box = real, box
 
     def publish(self, msg: Any) -> None:
-        if hasattr(msg, "get_fields_and_field_types"):  # a message of ROS, which this copies faster
-            self._box.append(deserialize_message(serialize_message(msg), type(msg)))
-        else:
-            self._box.append(copy.deepcopy(msg))
+        self._box.add(msg)
         self._real.publish(msg)
 
     def __getattr__(self, name: str) -> Any:
@@ -68,7 +89,7 @@ class Inside:
     Attributes
     ----------
     node : WalkNode
-    got : dict of str to list
+    got : dict of str to Messages
         Published messages, by topic.
     log : Log
     clock : SteppedTime
@@ -85,7 +106,7 @@ class Inside:
         domain: int,
         clock: SteppedTime,
     ) -> None:
-        self.got: dict[str, list[Any]] = {}
+        self.got: dict[str, Messages] = {}
         self.clock = clock
         self.log = Log()
         params = folder / f"{name}.yaml"
@@ -99,7 +120,7 @@ class Inside:
 
             def create_publisher(self, kind: Any, topic: str, *args: Any, **keywords: Any) -> Any:
                 real = Node.create_publisher(self, kind, topic, *args, **keywords)
-                return RecordingPublisher(real, box.setdefault(topic.lstrip("/"), []))
+                return RecordingPublisher(real, box.setdefault(topic.lstrip("/"), Messages()))
 
             def get_logger(self) -> Any:
                 return log

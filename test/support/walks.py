@@ -100,8 +100,7 @@ def segments(trace: Trace) -> Iterator[Segment]:
         ticks = range(span.start, min(span.stop + 1, len(trace)))  # with the state that ended it
         error, margins = [], []
         for tick in ticks:
-            kin = Kinematics(model, trace.q[tick], phase.base)
-            now = phase.evaluate(kin.q, kin.up)
+            now = phase.evaluate(trace.q[tick])
             error.append(now.error)
             margins.append(now.margins)
         rows = (*phase.equalities, *phase.constraints)
@@ -114,7 +113,7 @@ def segments(trace: Trace) -> Iterator[Segment]:
             distances={row.name: arrays[row.name] for row in phase.constraints},
             equalities={row.name: arrays[row.name] for row in phase.equalities},
             rates={row.name: min(row.eta, 1.0 / config.dt) for row in rows},
-            last=kin,
+            last=Kinematics(model, trace.q[ticks[-1]], phase.base),
         )
 
 
