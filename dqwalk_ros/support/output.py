@@ -32,19 +32,24 @@ def written(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterato
     OutputError
         If something else exists at `path` and is not to be replaced.
     OSError
-        If nothing can be written there.
+        If nothing can be written there; it names `path` if it names no other file.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name[:100]}-") as scratch:
-        new = Path(scratch) / path.name
-        yield new
-        if _same(new, path):
-            return
-        if not overwrite:
-            refuse_existing([path])
-        _remove(path, folder=new.is_dir())
-        new.rename(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name[:100]}-") as scratch:
+            new = Path(scratch) / path.name
+            yield new
+            if _same(new, path):
+                return
+            if not overwrite:
+                refuse_existing([path])
+            _remove(path, folder=new.is_dir())
+            new.rename(path)
+    except OSError as error:  # a full disk has no name
+        if error.errno and not error.filename:
+            error.filename = str(path)
+        raise
 
 
 def write_text(path: str | os.PathLike[str], text: str, *, overwrite: bool = False) -> None:

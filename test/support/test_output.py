@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from full_disk import limited_file_size
 
 from dqwalk_ros.support.errors import OutputError
 from dqwalk_ros.support.output import refuse_existing, write_text, written
@@ -49,6 +50,14 @@ def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
         fail()
     assert place.read_text() == "mine"
     assert os.listdir(tmp_path) == ["walk.txt"]
+
+
+def test_a_full_disk_is_named_by_the_file(tmp_path: Path) -> None:
+    place = tmp_path / "walk.txt"
+    with limited_file_size(100), pytest.raises(OSError, match="File too large") as caught:
+        write_text(place, "x" * 1000)
+    assert caught.value.filename == str(place)
+    assert not os.listdir(tmp_path)
 
 
 def test_a_file_replaces_no_folder_and_no_device(tmp_path: Path) -> None:
