@@ -429,9 +429,10 @@ def _check_knees(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
 
 
 def _check_waist(skeleton: Skeleton, waist: Sequence[str], kinds: str, needed: float) -> None:
-    """Raise ModelError if the waist cannot move the CoM sideways as far as `needed` [m], from the middle to a sole.
+    """Raise ModelError if the waist cannot move the CoM sideways over a sole, `needed` [m] from the middle to an ankle.
 
-    The distances that its joints move the CoM are added, each with an angle of up to a right one within its limits.
+    The distances that its joints move the CoM are added, each with an angle of up to a right one within its limits. The
+    CoM need not reach the ankle, only the inner part of the sole, which may begin half-way.
     """
     moved = 0.0
     for joint in waist:
@@ -442,7 +443,7 @@ def _check_waist(skeleton: Skeleton, waist: Sequence[str], kinds: str, needed: f
         limit = skeleton.joints[joint].limit
         ends = np.clip([limit.lower, limit.upper], -0.5 * np.pi, 0.5 * np.pi)
         moved += share * float(np.abs(np.sin(ends) * across + (1.0 - np.cos(ends)) * back).max())
-    if moved < needed:
+    if moved < 0.5 * needed:
         what = f"{', '.join(map(repr, waist))} would move it by {1e3 * moved:.0f} mm" if waist else "there is no waist"
         raise ModelError(
             f"the legs ({kinds}) cannot move the pelvis sideways over flat soles, because no ankle rolls, and the "

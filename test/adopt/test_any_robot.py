@@ -32,7 +32,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import PhysicsPlant, build
 from dqwalk_ros.report.binding import Load
-from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
+from dqwalk_ros.robot.model import RobotModel, find_urdf, load_model, parse_model
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
@@ -677,6 +677,13 @@ def test_a_robot_without_front_and_back_walks_along_an_axis_of_its_root(tmp_path
     ahead = next(entry for entry in anatomy_of(urdf).evidence if entry.what == "ahead")
     assert ahead.confidence == "guess"
     assert "give --forward" in ahead.source
+
+
+def test_the_waist_of_poppy_moves_its_com_over_a_sole() -> None:
+    """By 55 mm, where the ankle is 67 mm from the middle, and the sole begins before."""
+    found = anatomy_of(Urdf.load(find_urdf("poppy.urdf")))
+    assert not found.sideways
+    assert "abs_x" in found.waist
 
 
 def test_legs_without_ankle_roll_and_waist_are_refused_for_that_whatever_their_feet_are(tmp_path: Path) -> None:
