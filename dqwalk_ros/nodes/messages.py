@@ -27,8 +27,8 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 
 __all__ = [
-    "JointReader", "JointWriter", "best_effort", "checked_pose", "deserialized", "header", "impulse", "imu",
-    "inertial_of", "is_frame_of", "is_heard_by", "latched", "message_type", "nanoseconds", "point", "pose",
+    "JointReader", "JointWriter", "best_effort", "checked_place", "checked_pose", "deserialized", "header", "impulse",
+    "imu", "inertial_of", "is_frame_of", "is_heard_by", "latched", "message_type", "nanoseconds", "point", "pose",
     "publishers_of", "stamp_of", "time_msg", "wrench",
 ]  # fmt: skip
 
@@ -230,13 +230,25 @@ def checked_pose(msg: PoseStamped, what: str) -> DQ:
     StateError
         If its quaternion is not a unit quaternion, or its position is not finite or farther away than `_FARTHEST`.
     """
-    p, r = msg.pose.position, msg.pose.orientation
-    size, far = math.hypot(r.w, r.x, r.y, r.z), math.hypot(p.x, p.y, p.z)  # without overflow
+    r = msg.pose.orientation
+    size = math.hypot(r.w, r.x, r.y, r.z)  # without overflow
     if not abs(size - 1.0) < 1e-3:
         raise StateError(f"{what} has no unit quaternion: its norm is {size:.3g}")
-    if not far <= _FARTHEST:
+    place = checked_place(msg.pose.position, what)
+    return DQ.from_pose(place, [r.w / size, r.x / size, r.y / size, r.z / size])
+
+
+def checked_place(p: Point, what: str) -> list[float]:
+    """Return the coordinates of a point from outside [m]; `what` is its name in the error message.
+
+    Raises
+    ------
+    StateError
+        If it is not finite, or farther away than `_FARTHEST`.
+    """
+    if not (far := math.hypot(p.x, p.y, p.z)) <= _FARTHEST:
         raise StateError(f"{what} is {far:.3g} m away; {_FARTHEST:g} m at most")
-    return DQ.from_pose([p.x, p.y, p.z], [r.w / size, r.x / size, r.y / size, r.z / size])
+    return [p.x, p.y, p.z]
 
 
 def xyz(p: Array) -> Point:

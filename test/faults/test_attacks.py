@@ -219,6 +219,15 @@ def test_no_number_of_a_pose_passes_or_ends_a_node(place: Any, rotation: Any, re
         ros.checked_pose(msg, "the pose")
 
 
+def test_the_target_of_a_hand_of_a_whole_body_is_checked_as_any_other(make: Any) -> None:
+    one = make("whole_body_controller", load("whole_body"))
+    for far in (math.nan, 1e308):
+        msg = PoseStamped()
+        msg.pose.position.y = far
+        one.send("hand_target", msg)
+        assert f"hand_target rejected: it is {far:.3g} m away; 1e+06 m at most" in one.log
+
+
 def test_states_stamped_before_1970_are_rejected(make: Any) -> None:
     one = make("controller", PAPER)
     for k in range(5):

@@ -209,9 +209,8 @@ class WholeBodyController(AnsweringNode):
     # ------------------------------------------------------------------ targets and services
 
     def _on_target(self, msg: PoseStamped) -> None:
-        p = msg.pose.position
         try:
-            self._controller.reach([p.x, p.y, p.z])
+            self._controller.reach(ros.checked_place(msg.pose.position, "it"))
             self._new_target = self._controller.target
         except StateError as error:
             self._targets_rejected += 1
