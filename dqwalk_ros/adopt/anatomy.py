@@ -407,8 +407,8 @@ def _check_joints(skeleton: Skeleton, one: tuple[str, ...], two: tuple[str, ...]
     bare = _bare_ends(skeleton, (one[-1], two[-1]))
     if len(one) < 4:
         raise ModelError(
-            f"this biped has only {len(one)} joints in a leg, too few to keep the soles flat on the ground in a walk"
-            + bare
+            f"the legs that end with '{one[-1]}' and '{two[-1]}' have only {len(one)} joints, too few to keep soles "
+            f"flat on the ground in a walk{bare}"
         )
     shapes = [leg_of(*skeleton.lines(joints)) for joints in (one, two)]
     if bare and not all(shapes):
@@ -532,9 +532,10 @@ def _check_shapes(skeleton: Skeleton, ankles: tuple[str, str]) -> None:
     if not which and missing:
         mesh, why = next(iter(missing.items()))
         more = f", and {len(missing) - 1} more" if len(missing) > 1 else ""
+        cure = "; give --package-path of a folder that has it, or put a box in its place" if why == "not found" else ""
         raise ModelError(
             f"what '{ankles[0]}' and '{ankles[1]}' carry has a mesh that cannot be read, so its sole is unknown: "
-            f"'{mesh}' {why}{more}"
+            f"'{mesh}' {why}{more}{cure}"
         )
 
 
