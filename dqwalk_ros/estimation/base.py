@@ -25,7 +25,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY, share
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
 __all__ = ["BaseEstimate", "BaseEstimator"]
@@ -202,23 +202,27 @@ class BaseEstimator:
 
 
 @jit
-def _cross(a):  # type: ignore[no-untyped-def]
+def _cross(a: Array) -> Array:
     """Return the matrix (3, 3) of the cross product a x."""
     return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
 @jit
-def _exp(a):  # type: ignore[no-untyped-def]
+def _exp(a: Array) -> Array:
     """Return the rotation matrix (3, 3) of the rotation vector `a` (3,) [rad] (Rodrigues)."""
     angle = math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2)
     K = _cross(a)
-    if angle < 1e-8:
-        return np.eye(3) + K
-    return np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K)
+    turn: Array = np.eye(3) + K
+    if angle >= 1e-8:
+        turn = np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K)
+    return turn
 
 
 @jit
-def _predict(dt, gyro, acceleration, R, v, p, d, bias, P, noise):  # type: ignore[no-untyped-def]
+def _predict(
+    dt: float, gyro: Array, acceleration: Array, R: Array, v: Array, p: Array, d: Array, bias: Array, P: Array,
+    noise: Array,
+) -> None:  # fmt: skip
     """Prediction step over `dt` [s] with the measurements of the inertial sensor; `noise` are variances per second."""
     omega = gyro - bias[:3]
     linear = R @ (acceleration - bias[3:]) + _GRAVITY
@@ -246,7 +250,7 @@ def _predict(dt, gyro, acceleration, R, v, p, d, bias, P, noise):  # type: ignor
 
 
 @jit
-def _reset_point(k, h, R, p, d, P, variance):  # type: ignore[no-untyped-def]
+def _reset_point(k: int, h: Array, R: Array, p: Array, d: Array, P: Array, variance: float) -> None:
     """Set the contact point k to its present position, `h` (3,) in the sensor's frame, with the error of the base."""
     i = 9 + 3 * k
     d[k] = p + R @ h
@@ -257,7 +261,10 @@ def _reset_point(k, h, R, p, d, P, variance):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _contact(h, standing, stood, ground, R, v, p, d, bias, P, kinematics, floor):  # type: ignore[no-untyped-def]
+def _contact(
+    h: Array, standing: Mask, stood: Mask, ground: Array, R: Array, v: Array, p: Array, d: Array, bias: Array, P: Array,
+    kinematics: float, floor: float,
+) -> Mask:  # fmt: skip
     """Correction step with the standing contact points; return which of the four have slipped or lifted, shape (4,).
 
     `ground` (4,) are the heights on which they stand [m]: zero, or where a stair is found.
@@ -290,7 +297,7 @@ def _contact(h, standing, stood, ground, R, v, p, d, bias, P, kinematics, floor)
 
 
 @jit
-def _correct(H, z, noise, R, v, p, d, bias, P):  # type: ignore[no-untyped-def]
+def _correct(H: Array, z: Array, noise: Array, R: Array, v: Array, p: Array, d: Array, bias: Array, P: Array) -> None:
     """Correct the state by the residuals z = H xi + noise (m,): X = exp(-K z) X; `noise` (m,) are variances."""
     S = H @ P @ H.T + np.diag(noise)
     K = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)

@@ -24,7 +24,7 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
 __all__ = ["FootLoads", "share_of"]
@@ -87,36 +87,43 @@ class FootLoads:
 
 
 @jit
-def _approach(dt):  # type: ignore[no-untyped-def]
+def _approach(dt: float) -> float:
     """Return the part of the way to a new value that the filters go in `dt` [s]; all of it at the beginning."""
     return 1.0 if dt == math.inf else dt / (_SMOOTH + dt)
 
 
 @jit
-def _accelerated(acceleration, before, dq, dt):  # type: ignore[no-untyped-def]
+def _accelerated(acceleration: Array, before: Array, dq: Array, dt: float) -> Array:
     """Return the filtered acceleration (n,) after the velocities changed from `before` to `dq` (n,) in `dt` [s]."""
     gained = (dq - before) / dt if 0.0 < dt < math.inf else np.zeros(dq.shape[0])
-    return acceleration + _approach(dt) * (gained - acceleration)
+    filtered: Array = acceleration + _approach(dt) * (gained - acceleration)
+    return filtered
 
 
 @jit
-def _loaded(  # type: ignore[no-untyped-def]
-    loads, right, dt, lines, com, J_com, up, pelvis, other, at_base, at_other, weight, armature, acceleration, effort
-):
+def _loaded(
+    loads: Array, right: bool, dt: float, lines: Array, com: Array, J_com: Array, up: Array, pelvis: Mask, other: Mask,
+    at_base: Array, at_other: Array, weight: float, armature: Array, acceleration: Array, effort: Array,
+) -> Array:  # fmt: skip
     """Return the filtered loads (2,) of both feet; `right` is whether the right one is the base. See `_forces`."""
     tau = effort - armature * acceleration
     forces = _forces(lines, com, J_com, up, pelvis, other, at_base, at_other, weight, tau)
-    return _filtered(loads, np.array([forces[1], forces[0]]) if right else forces, dt, weight)
+    filtered: Array = _filtered(loads, np.array([forces[1], forces[0]]) if right else forces, dt, weight)
+    return filtered
 
 
 @jit
-def _filtered(loads, now, dt, weight):  # type: ignore[no-untyped-def]
+def _filtered(loads: Array, now: Array, dt: float, weight: float) -> Array:
     """Return the loads (2,) after the forces `now` (2,) [N], of which a sole only pushes."""
-    return loads + _approach(dt) * (np.minimum(np.maximum(now, 0.0), _MOST * weight) - loads)
+    filtered: Array = loads + _approach(dt) * (np.minimum(np.maximum(now, 0.0), _MOST * weight) - loads)
+    return filtered
 
 
 @jit
-def _forces(lines, com, J_com, up, pelvis, other, at_base, at_other, weight, tau):  # type: ignore[no-untyped-def]
+def _forces(
+    lines: Array, com: Array, J_com: Array, up: Array, pelvis: Mask, other: Mask, at_base: Array, at_other: Array,
+    weight: float, tau: Array,
+) -> Array:  # fmt: skip
     """Return the vertical forces [N] on the base sole and on the other one, from the torques `tau` (n,) [N m].
 
     `pelvis` and `other` (n,) are whether a joint moves the pelvis and the other sole, `at_base` and `at_other` (3,) the

@@ -39,7 +39,7 @@ def filtered_vertical(before: State, state: State) -> Array | None:
 
 
 @jit
-def _filtered(before, omega, measured, dt):  # type: ignore[no-untyped-def]
+def _filtered(before: Array, omega: Array, measured: Array, dt: float) -> Array:
     """Return the vertical after dt [s] of the angular velocity omega (3,) [rad/s], corrected by the measured one."""
     turned = before + dt * np.cross(before, omega)  # a vector that is fixed in the world: up' = up x omega
     up = turned + dt / (_T + dt) * (measured - turned)

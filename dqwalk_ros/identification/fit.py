@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
@@ -31,7 +30,7 @@ from dqwalk_ros.plants.base import upward
 from dqwalk_ros.plants.mujoco import held_torques
 from dqwalk_ros.plants.servo_goals import ServoGoals
 from dqwalk_ros.robot.servos import IDENTIFIED, Servos
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.trace import Trace
@@ -246,9 +245,7 @@ class _Piece:
     """Times and goals (2, k) just before the period, which act after the delay."""
 
 
-def _pieces(
-    trace: Trace, goals: Array, tau: Array, inertia: Array, joint: int, alone: NDArray[np.bool_]
-) -> list[_Piece]:
+def _pieces(trace: Trace, goals: Array, tau: Array, inertia: Array, joint: int, alone: Mask) -> list[_Piece]:
     ends = np.flatnonzero(np.diff(np.concatenate([[0], alone, [0]])))
     out = []
     for a, b in zip(ends[::2], ends[1::2], strict=True):
@@ -368,7 +365,10 @@ def _run(piece: _Piece, x: Array, limit: float) -> Array:
 
 
 @jit
-def _simulated(time, measured, tau, inertia, sent, goals, x, limit, step):  # type: ignore[no-untyped-def]
+def _simulated(
+    time: Array, measured: Array, tau: Array, inertia: Array, sent: Array, goals: Array, x: Array, limit: float,
+    step: float,
+) -> Array:  # fmt: skip
     """Return the angles of the model, starting at rest at the first measured angle.
 
     Friction has its full value if abs(v + lead v') > creep, and is proportional to v + lead v' below. For ideal dry

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqwalk_ros.paper.dual_quaternions import DQ, product
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
 if TYPE_CHECKING:
@@ -48,7 +48,6 @@ __all__ = [
 ]
 
 
-Mask = NDArray[np.bool_]
 _ORIGIN = np.zeros(3)
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, direction
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
 __all__ = ["GRAVITY", "borne_by_other", "gravity_torques", "ground_torques", "share"]
@@ -72,7 +71,7 @@ def share(pressure: Array, a: Array, b: Array) -> float:
 @jit
 def borne_by_other(
     force: Array, pressure: Array, com: Array, a: Array, b: Array, half: float, x_other: Array, lines: Array,
-    moves: NDArray[np.bool_],
+    moves: Mask,
 ) -> Array:  # fmt: skip
     """Return w (F.J_po + m.J_omega) of `ground_torques`, shape (n,) [N m].
 

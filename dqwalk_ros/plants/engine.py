@@ -272,7 +272,7 @@ def gravity_of(level: Array) -> Array:
 
 
 @jit
-def _imu(level, link, velocity, mounting, to_sensor):  # type: ignore[no-untyped-def]
+def _imu(level: Array, link: Array, velocity: Array, mounting: Array, to_sensor: Array) -> tuple[Array, Array]:
     """Return the orientation (4,) of the inertial sensor in a level world, and its angular velocity in its axes (3,).
 
     `level`, `link` and `mounting` (4,) are the orientations of the floor, of the link on the floor, and of the sensor
@@ -284,7 +284,7 @@ def _imu(level, link, velocity, mounting, to_sensor):  # type: ignore[no-untyped
 
 
 @jit
-def pose_of(p, r):  # type: ignore[no-untyped-def]
+def pose_of(p: Array, r: Array) -> Array:
     """Return the pose r + eps 1/2 p r of (U1), shape (8,), of a position p (3,) [m] and a unit quaternion r (4,)."""
     x = np.empty(8)
     x[:4] = r

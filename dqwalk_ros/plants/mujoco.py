@@ -127,7 +127,7 @@ class PhysicsPlant(EnginePlant):
 
 
 @jit
-def _moved_wrench(measured, p, R):  # type: ignore[no-untyped-def]
+def _moved_wrench(measured: Array, p: Array, R: Array) -> Array:
     """Return a force and torque (6,) about the point p (3,) in the axes R (9,), by row.
 
     `measured` (9,) are force and torque with the opposite sign, and the point at which they act, in world axes.

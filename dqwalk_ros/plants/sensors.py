@@ -97,7 +97,9 @@ class Sensors:
 
 
 @jit
-def _disturbed(leaning, mounting, orientation, gyro, acceleration, errors):  # type: ignore[no-untyped-def]
+def _disturbed(
+    leaning: Array, mounting: Array, orientation: Array, gyro: Array, acceleration: Array, errors: Array
+) -> tuple[Array, Array, Array]:
     """Return orientation (4,), angular velocity and specific force (3,) as a sensor with errors measures them.
 
     The rotations `leaning` and `mounting` (4,) are those of the level and of the sensor on its link. The rows of
@@ -111,6 +113,6 @@ def _disturbed(leaning, mounting, orientation, gyro, acceleration, errors):  # t
 
 
 @jit
-def _product(a, b):  # type: ignore[no-untyped-def]
+def _product(a: Array, b: Array) -> Array:
     """Return the product of two quaternions (4,)."""
     return np.array(quaternion_product(a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]))

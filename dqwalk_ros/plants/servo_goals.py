@@ -33,7 +33,7 @@ from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.robot.limits import FASTEST, JointLimits, unreachable
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive, Servos
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
 __all__ = ["JUMPS", "AngleGate", "ServoGoals"]
@@ -127,7 +127,7 @@ class AngleGate:
         self.q[:], self.at[:] = q, time
         self._last[:], self._last_at[:] = q, time
 
-    def measure(self, q: Array, at: Array, moving: bool) -> NDArray[np.bool_]:
+    def measure(self, q: Array, at: Array, moving: bool) -> Mask:
         """Process measurements, and return which of the joints have a new angle, shape (N,).
 
         Parameters
@@ -288,7 +288,7 @@ class ServoGoals:
         names = [self._limits.joint_names[i] for i in np.flatnonzero(self.runaway)]
         return f"{', '.join(names)} moved away from {'its goal' if len(names) == 1 else 'their goals'} at full torque"
 
-    def measure(self, q: Array, at: Array | float) -> NDArray[np.bool_]:
+    def measure(self, q: Array, at: Array | float) -> Mask:
         """Process measured angles (n,) [rad] and their times [s], shape () or (n,); return which of them are used."""
         self._at[:] = at
         used = self.gate.measure(q, self._at, self.active)
@@ -345,15 +345,17 @@ class ServoGoals:
 
 
 @jit
-def _least(at):  # type: ignore[no-untyped-def]
+def _least(at: Array) -> float:
     """Return the least of the times `at` (N,) [s], in a tenth of the time that numpy takes."""
-    return at.min()
+    least: float = at.min()
+    return least
 
 
 @jit
-def _judge(  # type: ignore[no-untyped-def]
-    q, at, moving, speed, slack, longest, used, used_at, last, last_at, jumps, agreeing, taken
-):
+def _judge(
+    q: Array, at: Array, moving: bool, speed: Array, slack: Array, longest: float, used: Array, used_at: Array,
+    last: Array, last_at: Array, jumps: NDArray[np.intp], agreeing: NDArray[np.intp], taken: Mask,
+) -> tuple[int, int]:  # fmt: skip
     """Store which of the angles q (N,), measured at the times `at` (N,), are used.
 
     Return how many are impossible, and the most consecutive ones of a joint.
@@ -376,7 +378,7 @@ def _judge(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _find_runaways(q, goal, most, side, nearest, runaway):  # type: ignore[no-untyped-def]
+def _find_runaways(q: Array, goal: Array, most: Array, side: Array, nearest: Array, runaway: Mask) -> bool:
     """Set `runaway` (n,) of joints that have moved away from their goals at errors larger than `most` (n,) [rad].
 
     Return whether there is any.
@@ -389,13 +391,14 @@ def _find_runaways(q, goal, most, side, nearest, runaway):  # type: ignore[no-un
             side[i], nearest[i] = now, q[i]
         elif now * (nearest[i] - q[i]) > _AWAY:
             runaway[i] = True
-    return runaway.any()
+    return bool(runaway.any())
 
 
 @jit
-def _goals(  # type: ignore[no-untyped-def]
-    wanted, velocity, dt, q, pending, window, lower, upper, offset, lead, goal, fastest, step
-):
+def _goals(
+    wanted: Array, velocity: Array, dt: float, q: Array, pending: Array, window: float, lower: Array, upper: Array,
+    offset: Array, lead: Array, goal: Array, fastest: Array, step: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
     """Return velocities within their limits [rad/s], and after one period the commanded positions [rad].
 
     These are without and with the offsets and the lead [s], and the latter rounded; all have the shape (n,). The

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY
@@ -18,7 +17,7 @@ from dqwalk_ros.report.hull import hull_margin
 from dqwalk_ros.report.metrics import Series, support_polygon
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.robot.standing_limits import Finding, divergent_component, longest_delay, servo_findings
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.walks.following import ComPath, com_path
 
 __all__ = ["causes", "lost"]
@@ -183,14 +182,14 @@ def _torque(series: Series, tick: int) -> Iterator[Finding]:
         )
 
 
-def _at_limit(series: Series, ticks: slice) -> NDArray[np.bool_]:
+def _at_limit(series: Series, ticks: slice) -> Mask:
     """Return which torques were at their limits, shape (ticks, n); all false if torques were not recorded."""
     trace, physics = series.trace, series.trace.physics
     if physics is None or ticks.stop - ticks.start < 2:
         return np.zeros((1, trace.model.n), bool)
     servos = Servos.of(trace.config, trace.model)
     dq = np.gradient(trace.q[ticks], series.time[ticks], axis=0)
-    out: NDArray[np.bool_] = servos.load(physics.effort[ticks], dq) > _AT_LIMIT
+    out: Mask = servos.load(physics.effort[ticks], dq) > _AT_LIMIT
     return out
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 
 __all__ = ["FASTEST", "JointLimits", "clamp_effort", "clamp_velocity", "named_angles", "outside_limits", "unreachable"]
 
@@ -39,9 +38,7 @@ def outside_limits(q: Array, limits: JointLimits | RobotModel, slack: float) -> 
     return named_angles(limits, beyond, ~(beyond <= slack))
 
 
-def unreachable(
-    q: Array, before: Array, passed: Array | float, speed: Array, slack: Array | float
-) -> NDArray[np.bool_]:
+def unreachable(q: Array, before: Array, passed: Array | float, speed: Array, slack: Array | float) -> Mask:
     """Return which joints cannot have moved from one measured angle to the next; a value that is not a number cannot.
 
     Parameters
@@ -62,7 +59,7 @@ def unreachable(
     return ~(np.abs(q - before) <= speed * np.maximum(passed, 0.0) + slack)
 
 
-def named_angles(limits: JointLimits | RobotModel, angles: Array, which: NDArray[np.bool_]) -> str:
+def named_angles(limits: JointLimits | RobotModel, angles: Array, which: Mask) -> str:
     """Return the joints `which` (n,) by name, each with its angle of `angles` (n,): ``l_knee_y by 1.5 rad, ...``."""
     return ", ".join(f"{limits.joint_names[i]} by {angles[i]:.3g} rad" for i in np.flatnonzero(which))
 

@@ -1,11 +1,13 @@
-"""The type of arrays in signatures."""
+"""The types of arrays in signatures; docstrings give shape and unit."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array"]
+__all__ = ["Array", "Mask"]
 
 Array = NDArray[np.float64]
-"""Real numbers; docstrings give shape and unit."""
+"""Real numbers."""
+Mask = NDArray[np.bool_]
+"""Which of several things, such as joints."""

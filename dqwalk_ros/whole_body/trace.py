@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.errors import DqwalkError
 from dqwalk_ros.support.provenance import here
 from dqwalk_ros.trace import Recorded
@@ -113,7 +112,7 @@ class WholeBodyTrace(BodyLog):
     right: Array
     support: Array
     landing: Array
-    single: NDArray[np.bool_]
+    single: Mask
     height_error: Array
     tilt: Array
     residual: Array

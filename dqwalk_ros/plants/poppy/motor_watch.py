@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import PoppyConfig
 from dqwalk_ros.plants.poppy.dynamixel import DAMAGED, ERROR_BITS, FULL_TORQUE, SILENT, DynamixelBus
 from dqwalk_ros.plants.servo_goals import JUMPS
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 
 __all__ = ["Measured", "MotorWatch", "Part"]
 
@@ -60,7 +60,7 @@ class Measured:
     at: Array
     jumps: NDArray[np.intp]
     load: Array
-    runaway: NDArray[np.bool_]
+    runaway: Mask
 
 
 class MotorWatch:

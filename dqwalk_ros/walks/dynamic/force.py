@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
 __all__ = ["approached", "converging", "ground_force", "leg_torques"]
@@ -39,7 +38,7 @@ def approached(acceleration: Array, before: Array, u: Array, passed: float) -> A
 
 @jit
 def leg_torques(
-    lines: Array, com: Array, J_com: Array, legs: NDArray[np.bool_], pressure: Array, force: Array, weight: Array
+    lines: Array, com: Array, J_com: Array, legs: Mask, pressure: Array, force: Array, weight: Array
 ) -> Array:
     """Return the torques of the leg joints from the difference between the ground force at z and at c, per mass (n,).
 
