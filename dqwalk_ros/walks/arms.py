@@ -235,12 +235,17 @@ class Arms:
     Raises
     ------
     ConfigError
-        If the section ``arms`` names joints or links that do not move.
+        If the section ``arms`` names joints or links that do not move, or joints of the legs.
     """
 
     def __init__(self, config: Config, model: RobotModel, posture: Array) -> None:
         self._config, self._model = config.arms, model
         a, indices = config.arms, {k for pattern in config.arms.joints for k in model.matching(pattern, "arms.joints")}
+        legs = set[int]()  # what moves one sole, but not the other
+        for foot in Foot:
+            legs ^= {model.bodies[body].joint for body in model.chain(model.frames[model.soles[foot].frame].body)}
+        if wrong := [model.joint_names[k] for k in sorted(indices & legs)]:
+            raise ConfigError(f"arms.joints names {', '.join(wrong)} of the legs, which carry the robot")
         self._joints = np.array(sorted(indices))
         self.names = tuple(model.joint_names[k] for k in self._joints)
         self._posture = posture[self._joints]

@@ -19,6 +19,7 @@ from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Walk
+from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
@@ -43,10 +44,17 @@ class SteppingWalk(Walk):
     footsteps : Footsteps
     arms : Arms or None
         None if ``arms.joints`` is empty.
+
+    Raises
+    ------
+    ConfigError
+        If ``standing.posture`` is outside the joint limits by more than ``safety.outside``; errors of `Arms`.
     """
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
+        if outside := outside_limits(self.posture, model, config.safety.outside):
+            raise ConfigError(f"standing.posture is outside the joint limits: {outside}")
         self.footsteps = Footsteps(config, model, self.posture, self._carried())
         self._planned: deque[Array] = deque()  # remaining commanded footprints, each in the frame of its support sole
         self._stands_first: Foot | None = None  # support foot of the first commanded footprint
