@@ -52,6 +52,8 @@ class Trial:
         Displacement according to the parameters [m].
     note : str
         Reason for which the walk ended early; what its report finds, if it was completed.
+    violations : int
+        How much that is, if it was completed.
     causes : tuple of Finding
         Causes of a fall, the earliest first.
     load : Load or None
@@ -65,6 +67,7 @@ class Trial:
     distance: float
     planned: float
     note: str
+    violations: int = 0
     causes: tuple[Finding, ...] = ()
     load: Load | None = None
     changes: Mapping[str, Any] = field(default_factory=dict)
@@ -148,8 +151,8 @@ def dynamic_walks(
 
 
 def best(walks: Sequence[Trial]) -> Trial:
-    """Return the first walk with an OK report, or else the first that stood, or else the first."""
-    return min(walks, key=lambda walk: (not walk.stood, bool(walk.note)))
+    """Return the walk that stood with the fewest violations, the first of these; the first one if all fell."""
+    return min(walks, key=lambda walk: (not walk.stood, walk.violations))
 
 
 def too_much(config: Config, model: RobotModel) -> str:
@@ -188,10 +191,10 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
     slow = 1 + (min(config.dynamic.ramp, (config.gait.steps - 1) // 2) if config.gait.style == "dynamic" else 0)
     planned = config.gait.step_length * max(0, swings - slow)
     if not trace.finished:
-        return Trial(plant, False, _distance(trace), planned, "; ".join(trace.notes), tuple(causes(series)))
+        return Trial(plant, False, _distance(trace), planned, "; ".join(trace.notes), causes=tuple(causes(series)))
     found = violations(series)
     note = f"{found[0].message}" + (f", and {len(found) - 1} more" if len(found) > 1 else "") if found else ""
-    return Trial(plant, True, _distance(trace), planned, note, load=most_loaded(trace))
+    return Trial(plant, True, _distance(trace), planned, note, len(found), load=most_loaded(trace))
 
 
 def _distance(trace: Trace) -> float:

@@ -241,8 +241,9 @@ def test_a_joint_that_cannot_do_the_steps_of_the_dynamic_walk_is_named(small: Ad
     )
 
 
-FINE, BESIDE, FELL = (
-    Trial("physics", stood, 1.0, 1.0, note) for stood, note in ((True, ""), (True, "landed 9 mm off"), (False, "fell"))
+FINE, CLOSE, BESIDE, FELL = (
+    Trial("physics", stood, 1.0, 1.0, note, violations)
+    for stood, note, violations in ((True, "", 0), (True, "6 mm off", 1), (True, "9 mm off", 3), (False, "fell", 0))
 )
 
 
@@ -254,6 +255,7 @@ FINE, BESIDE, FELL = (
         ([BESIDE, FELL, FINE], (), (0.4, 0.5)),
         ([FELL, BESIDE, BESIDE], (), (0.4, 1.0)),
         ([BESIDE, FELL, BESIDE], (), (1.0, 1.0)),
+        ([BESIDE, BESIDE, CLOSE], (), (0.4, 0.5)),
         ([BESIDE, FINE], ("servo.window",), (1.0, 0.5)),
     ],
 )
