@@ -12,7 +12,7 @@ from inside import Log, state
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
-from dqwalk_ros.config import load, to_yaml
+from dqwalk_ros.config import Config, load, to_yaml
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.paper.foot import Foot
@@ -20,7 +20,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.plants.base import Inertial
-from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.model import RobotModel, load_model
 
 PAPER = load("paper")
 MODEL = load_model(PAPER.robot)
@@ -30,11 +30,12 @@ S = 1_000_000_000
 class Fed:
     """A log of phases without a node; `send` passes a message to the callback of its topic."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: Config = PAPER, model: RobotModel = MODEL) -> None:
         self.said, self._heard = Log(), dict[str, Any]()
+        self._config, self._model = config, model
         node: Any = SimpleNamespace(
             get_logger=lambda: self.said,
-            config=PAPER,
+            config=config,
             listen=lambda kind, topic, callback, *_, **__: self._heard.update({topic: callback}),
             create_subscription=lambda kind, topic, callback, _: self._heard.update({topic: callback}),
         )
@@ -45,8 +46,8 @@ class Fed:
 
     def tell_walk(self) -> None:
         """Send the configuration and the robot."""
-        self.send("walk_config", String(data=to_yaml(PAPER)))
-        self.send("robot_description", String(data=MODEL.urdf))
+        self.send("walk_config", String(data=to_yaml(self._config)))
+        self.send("robot_description", String(data=self._model.urdf))
 
     def measure(self, stamp: int, lean: float) -> None:
         """Send the measurement of an inertial sensor that leans forward by an angle [rad]."""
@@ -54,12 +55,12 @@ class Fed:
         measured = Inertial(turned, np.zeros(3), np.zeros(3))
         self.send("imu", bytes(serialize_message(ros.imu(stamp, "pelvis", measured))))
 
-    def begin(self, stamp: int, base: Foot = Foot.LEFT) -> None:
-        """Send the start of a double support."""
-        frame = MODEL.soles[base].frame
-        start = state(MODEL.joint_names, np.zeros(MODEL.n), 1e-9 * stamp)
+    def begin(self, stamp: int, base: Foot = Foot.LEFT, kind: PhaseKind = PhaseKind.DOUBLE_SUPPORT) -> None:
+        """Send the start of a phase on both feet."""
+        frame, q = self._model.soles[base].frame, self._model.posture(self._config.standing.posture)
+        start = state(self._model.joint_names, q, 1e-9 * stamp)
         start.header.frame_id = frame
-        goal = com_target(PhaseKind.DOUBLE_SUPPORT, Kinematics(MODEL, np.zeros(MODEL.n), base))
+        goal = com_target(kind, Kinematics(self._model, q, base))
         self.send("phase_start", start)
         self.send("com_target", ros.point(stamp, frame, goal))
 
@@ -117,11 +118,14 @@ def test_a_wrong_stamp_of_the_inertial_sensor_costs_one_measurement(wrong: int) 
 
 
 def test_a_phase_begins_at_its_stamp_and_has_the_parameters_in_force_then() -> None:
-    one = Fed()
+    one, gripper = Fed(), state(["gripper"], [0.0], 1.0)
     assert one.log.at(S) is None
     one.begin(S)
     assert one.log.at(S) is None  # of an unknown robot
+    assert not one.log.lockstep
+    assert not one.log.is_foreign(gripper)
     one.tell_walk()
+    assert one.log.is_foreign(gripper)
     one.begin(3 * S, Foot.RIGHT)
     one.send("walk_config", String(data=to_yaml(PAPER.updated({"task.eta": 0.125}), 2 * S)))
     assert one.log.at(S - 1) is None
@@ -144,6 +148,18 @@ def test_a_phase_in_the_frame_of_no_sole_is_named_and_the_one_before_remains() -
     assert one.log.at(2 * S) is None
     assert "phase_start is in the frame '\\x1b[31m', not a sole of the robot" in one.said
     assert one.found(2 * S)[0] == S
+
+
+@pytest.mark.parametrize("kind", [PhaseKind.STANCE, PhaseKind.DOUBLE_SUPPORT])
+@pytest.mark.parametrize("base", list(Foot))
+def test_a_stance_and_a_transfer_have_different_targets(kind: PhaseKind, base: Foot) -> None:
+    config = load("poppy")
+    one = Fed(config, load_model(config.robot))
+    one.tell_walk()
+    one.begin(S, base, kind)
+    found = one.log.at(S)
+    assert found is not None
+    assert (found[1].phase.kind, found[1].phase.base) == (kind, base)
 
 
 def test_the_latest_hundred_phases_are_kept() -> None:
