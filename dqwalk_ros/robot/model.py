@@ -258,6 +258,8 @@ def find_urdf(urdf: str) -> pathlib.Path:
     path = pathlib.Path(urdf)
     if path.is_file():
         return path
+    if len(path.parts) > 1:
+        raise ModelError(f"no file '{path}'")
     try:
         return find_share("urdf", urdf)
     except ConfigError as error:

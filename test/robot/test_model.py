@@ -226,6 +226,8 @@ def test_a_missing_joint_is_named(key):
 def test_a_missing_file_is_named():
     with pytest.raises(ModelError, match=r"nowhere.urdf"):
         load_model(RobotConfig(urdf="nowhere.urdf"))
+    with pytest.raises(ModelError, match=r"^no file '/nowhere/robot\.urdf'$"):
+        load_model(RobotConfig(urdf="/nowhere/robot.urdf"))
 
 
 def test_a_robot_without_mass_is_refused(tmp_path):
