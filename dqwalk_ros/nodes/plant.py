@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from numpy.typing import NDArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -96,12 +95,12 @@ class SimulatedPlant(WalkNode):
     def on_step(self, before: int) -> None:
         """Publish what belongs to the period since the stamp `before` [ns]; called before the state after it."""
 
-    def publish(self, effort: NDArray[Any] | None = None) -> None:
-        """Publish the state, and the torques of the joints if they are known."""
+    def publish(self) -> None:
+        """Publish the state, with the torques of the joints if they are measured."""
         if self._clock_topic is not None:
             self._clock_topic.publish(Clock(clock=ros.time_msg(self._stamp)))
         state = self.plant.state
-        self._states.publish(self._state_msg(self._stamp, position=state.q, velocity=state.dq, effort=effort))
+        self._states.publish(self._state_msg(self._stamp, position=state.q, velocity=state.dq, effort=state.effort))
 
     # ------------------------------------------------------------------ lockstep
 
@@ -280,7 +279,7 @@ class Physics(SimulatedPlant):
         """Return the simulated time, counted from the time of the clock at the start [ns]."""
         return self._stamp0 + round(self.ticks * self.dt * 1e9)
 
-    def publish(self, effort: NDArray[Any] | None = None) -> None:
+    def publish(self) -> None:
         """Publish the sensors before the state, because the controller needs them together with it."""
         if self.ticks == self._pushed_until:
             self.plant.push(np.zeros(3))
@@ -288,7 +287,7 @@ class Physics(SimulatedPlant):
         others = (streams[name] for name in streams if name != "imu")
         truth = self.plant.truth if any(stream.get_subscription_count() for stream in others) else None
         streams["imu"].publish(ros.imu(stamp, self.model.imu_link, self.plant.inertial))
-        super().publish(self.plant.state.effort)
+        super().publish()
         if truth is not None:
             streams["true_base_pose"].publish(ros.pose(stamp, WORLD, truth.pelvis))
             streams["true_joint_states"].publish(self._true_angles(stamp, position=truth.q))

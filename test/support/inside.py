@@ -66,7 +66,7 @@ class Messages(UserList[Any]):
         return found
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Messages) and list(self) == list(other)
+        return isinstance(other, Messages | list) and list(self) == list(other)
 
 
 class RecordingPublisher:

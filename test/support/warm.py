@@ -1,6 +1,6 @@
 """Compiles the package for the tests: its workers and nodes would otherwise all compile the same functions at once.
 
-``python test/support/warm.py walks`` and ``python test/support/warm.py estimator`` compile about the same amount.
+``python test/support/warm.py walks`` and ``python test/support/warm.py others`` compile in parallel.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ import numpy as np
 
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.estimation.base import BaseEstimator
+from dqwalk_ros.paper.features import QUANTITY
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, compose
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.compiled import digest
+from dqwalk_ros.walks.arms import HandInTrunk
 from dqwalk_ros.walks.table import make_controller
 
 
@@ -36,13 +38,14 @@ def walks() -> None:
             simulate(make_controller(config, model), make_plant(plant, config, model), max_time=time)
 
 
-def estimator() -> None:
-    """The first updates of the base estimator."""
+def others() -> None:
+    """The first updates of the base estimator, and the tasks of the arms."""
     config = load("poppy")
     model = load_model(config.robot)
     kin, estimator = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT), BaseEstimator(config, model)
     for time in (0.0, 0.005):
         estimator.update(time, kin, np.zeros(3), np.array([0.0, 0.0, 9.81]), both=True)
+    QUANTITY.table([HandInTrunk.function])
 
 
 def compile_all() -> None:
@@ -51,11 +54,11 @@ def compile_all() -> None:
         return
     done = Path(compose.stats.cache_path) / f"all_for_tests_{digest(__name__)}"
     if not done.exists():
-        parts = [subprocess.Popen([sys.executable, __file__, name]) for name in ("walks", "estimator")]
+        parts = [subprocess.Popen([sys.executable, __file__, name]) for name in ("walks", "others")]
         codes = [part.wait() for part in parts]
         if not any(codes):
             done.touch()
 
 
 if __name__ == "__main__":
-    {"walks": walks, "estimator": estimator}[sys.argv[1]]()
+    {"walks": walks, "others": others}[sys.argv[1]]()

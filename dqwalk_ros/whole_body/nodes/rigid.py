@@ -19,7 +19,6 @@ from dqwalk_ros.nodes.inputs import EFFORT
 from dqwalk_ros.nodes.plant import SimulatedPlant
 from dqwalk_ros.nodes.state_gate import BodyGate
 from dqwalk_ros.robot.limits import clamp_effort
-from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError
 from dqwalk_ros.support.topics import ODOM
 from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController
@@ -125,7 +124,7 @@ class Rigid(SimulatedPlant):
             log.info("pushed: {:g}, {:g}, {:g} N s".format(*impulse))
         self._pushes.clear()
 
-    def publish(self, effort: Array | None = None) -> None:
+    def publish(self) -> None:
         """Publish the state in its three messages."""
         s = self.plant.state
         self._pub["base_pose"].publish(ros.pose(self._stamp, ODOM, s.x_base))
@@ -133,4 +132,4 @@ class Rigid(SimulatedPlant):
         linear, angular = twist.twist.linear, twist.twist.angular
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = s.v_base.tolist()
         self._pub["base_twist"].publish(twist)
-        super().publish(effort)
+        super().publish()
