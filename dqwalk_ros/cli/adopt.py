@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -172,6 +172,11 @@ def _page(found: Adoption, port: int | None) -> Page:
     return page
 
 
+def _what(changes: Mapping[str, object]) -> str:
+    """Return changed parameters as text."""
+    return ", ".join(f"{key} = {value}" for key, value in changes.items())
+
+
 def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
     """Test the walks, print their results, and return the exit code."""
     from dqwalk_ros.adopt.trial import Trial, best, dynamic_walks, first_walks
@@ -189,6 +194,8 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
         print("no cure helped")
         return 1
     stands = best(fast).stood
+    if len(fast) > 1:
+        print(f"{found.folder / 'dynamic.yaml'} has {_what(best(fast).changes) or 'no changes'}")
     for file in ("robot.yaml", "dynamic.yaml") if stands else ("robot.yaml",):
         print(f"dqwalk simulate --config {found.folder / file} --plant physics")
     fallen = "the standing walk stands in physics, the dynamic walk falls"
