@@ -27,8 +27,9 @@ columns:
   rms       largest RMS torque of a joint at the speed of ROBOT, as a part of its stall torque: above 0.2 or so small
             servos get hot
 
-The model has no servo that lags, no backlash and no errors: leave a reserve. Every type has the voltage of its row, and
-the robot keeps its mass. `config/servos.yaml` has the data of the types with their sources.
+The model has no servo that lags, no backlash and no errors: leave a reserve. Only where the knee of the swinging leg
+binds, as in small robots, walks may be twice as fast, because the knee bends and stretches later. Every type has the
+voltage of its row, and the robot keeps its mass. `config/servos.yaml` has the data of the types with their sources.
 
 examples:
   dqwalk adopt my_robot.urdf && dqwalk servos adopted
