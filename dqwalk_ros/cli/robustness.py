@@ -76,6 +76,8 @@ def robustness(
     from dqwalk_ros.studies import robustness as study
 
     made = config_of(config, changes, plant=plant, params=params, also={"gait.steps": steps})
+    if made.gait.style == "paper" and not made.gait.walk:  # its number of steps is not --steps, and it falls at once
+        raise ConfigError(f"robustness needs a standing or a dynamic walk; gait.style of '{config}' is paper")
     axes = study.axes_of(made)
     for text in axis:
         name, _, values = text.partition("=")

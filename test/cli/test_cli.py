@@ -67,6 +67,7 @@ def test_help_contains_examples(command, capsys):
         (["movie", "bag", "--between", "1,2,3"], "2 numbers"),
         (["movie", "bag", "--between", "5,2"], "in their order"),
         (["reach", "--duration", "-1"], "-1.0 is not in the range"),
+        (["robustness", "--config", "whole_body"], "needs a standing or a dynamic walk; gait.style of 'whole_body'"),
         (["robustness", "--axis", "latency_error=nan"], "KEY=NUMBER"),
         (["robustness", "--axis", "latency_error=1e300"], "servo.assumed_latency"),
     ],
