@@ -11,6 +11,7 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
+from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.estimation.load import FootLoads
 from dqwalk_ros.estimation.vertical import filtered_vertical
 from dqwalk_ros.paper.assembly import Evaluation
@@ -39,6 +40,7 @@ class VelocityController:
     continues.
 
     Delays of measurement and command, and the response of the servos, are compensated by the model `servos.Drive`.
+    Where torques are fed forward, its delay is corrected by what the joints show (`DriveWatch`).
 
     Parameters
     ----------
@@ -59,6 +61,8 @@ class VelocityController:
         Time of the state at which the phase began, shifted by pauses [s].
     finished : bool
         Whether the last phase is over; commands are zero from then on.
+    drive : DriveWatch
+        What the joints have shown of the drive since the walk began.
     kin : Kinematics or None
         Kinematics at the last state.
     loads : ndarray, shape (2,), or None
@@ -94,6 +98,8 @@ class VelocityController:
         self.kin: Kinematics | None = None
         self.loads: Array | None = None
         self._foot_loads = FootLoads(self.config, self.model)
+        self._drive = Drive.of(self.config, self.model)
+        self.drive = DriveWatch(self._drive)
         self._last_state: State | None = None
         self._history = CommandHistory(self._drive.delay, self.model.n)
         self._u, self._tau = np.zeros((2, self.model.n))  # the last command
@@ -103,7 +109,6 @@ class VelocityController:
         """Set the configuration of the current phase."""
         self.config = config
         self._limit = np.minimum(self.model.velocity_max, config.joints.velocity or np.inf)
-        self._drive = Drive.of(config, self.model)
 
     @property
     def phase(self) -> Phase:
@@ -219,10 +224,12 @@ class VelocityController:
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
         u = _within(u, self._u, self.model.velocity_max)
+        motion = self._history.motion
         self._history.add(state.time, u, dt)
         effort = self._effort(kin, state, u)
         if effort is not None:
             effort = self._tau = _within(effort, self._tau, self.model.effort_max)
+            self._learn(state, motion, effort, dt)
         self._u = u
         return Command(state.time, u, effort)
 
@@ -240,6 +247,14 @@ class VelocityController:
             return None
         effort = self._active.effort(self.phase, kin, state, u)
         return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
+
+    def _learn(self, state: State, motion: Array, effort: Array, dt: float) -> None:
+        """Use what the joints show of the delay."""
+        self.drive.add(state.time, state.q, motion, effort, dt)
+        if self.drive.drive is not self._drive:
+            self._drive = self.drive.drive
+            self._history.delay = self._drive.delay
+            self.walk.use(self._drive)
 
     def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, float, Evaluation]:
         """Return kinematics and error at `state`, and the evaluation at the predicted state at which the command acts.
@@ -277,7 +292,6 @@ class VelocityController:
             return
         if self._active.config is not self.config:
             self._use(self._active.config)
-            self._history.delay = self._drive.delay
         begins, before = self._phase_at(state, following), self._phase
         if before is not None and begins.base is not before.base:
             # the base frame changes to the other sole at its present pose
@@ -307,6 +321,7 @@ class VelocityController:
         """Continue after an interruption, in which the plant held still for `held` [s] after its command timeout."""
         phase, self._u = self.phase, np.zeros(self.model.n)
         self._history = CommandHistory(self._drive.delay, self.model.n)
+        self.drive.interrupt()
         if (still := self._active.restarts(phase)) is not None:
             again = Next(phase.kind, phase.support, phase.swing_target)
             self._begin(self._phase_at(state, again), state.time + still)

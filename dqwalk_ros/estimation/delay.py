@@ -30,21 +30,24 @@ class CommandHistory:
     ----------
     delay : float
         T, which may be changed [s]; without a delay, commands are not kept.
+    motion : ndarray, shape (n,)
+        S, the integral of all commands [rad].
     """
 
     def __init__(self, delay: float, n: int) -> None:
         self.delay = delay
-        self._sum = np.zeros(n)
+        self.motion = np.zeros(n)
         self._sums: deque[tuple[float, Array]] = deque()
 
     def add(self, time: float, velocity: Array, dt: float) -> None:
         """Add the command u (n,) [rad/s] that answers the state at `time` [s], for the period `dt` [s]."""
+        before = self.motion
+        self.motion = before + dt * velocity
         if self.delay == 0.0:
             return
         if not self._sums or self._sums[-1][0] < time - 1e-9:  # no motion was commanded since
-            self._sums.append((time, self._sum))
-        self._sum = self._sum + dt * velocity
-        self._sums.append((time + dt, self._sum))
+            self._sums.append((time, before))
+        self._sums.append((time + dt, self.motion))
         self._forget(time - self.delay)
 
     def pending(self, time: float) -> Array:
@@ -52,11 +55,11 @@ class CommandHistory:
         begin, sums = time - self.delay, self._sums
         self._forget(begin)
         if len(sums) < 2:
-            return np.zeros(len(self._sum))
+            return np.zeros(len(self.motion))
         (t0, s0), (t1, s1) = sums[0], sums[1]
         fraction = min(max((begin - t0) / max(t1 - t0, 1e-9), 0.0), 1.0)
-        motion: Array = self._sum - (s0 + fraction * (s1 - s0))
-        return motion
+        pending: Array = self.motion - (s0 + fraction * (s1 - s0))
+        return pending
 
     def _forget(self, begin: float) -> None:
         """Remove the commands that ended before `begin` [s]."""

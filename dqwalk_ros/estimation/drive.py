@@ -1,19 +1,22 @@
-"""Online identification of the drive's delay and stiffness, to detect deviations from the model of the controller.
+"""Online identification of the drive's delay and stiffness during a walk.
 
-The joints follow the integral S of the commanded velocities u with a delay T. With torques e that are fed forward by
-the assumed stiffness K,
+The joints follow the integral S of the commanded velocities u with a delay T, and the torques e that are fed forward by
+the assumed stiffness K. Friction and backlash f let a joint lag by an angle that changes its sign with the motion:
 
-    q(t) - S(t - T) = const. + (1/K - 1/K_true) e(t - T) - (T_true - T) u(t - T)
+    q(t) - S(t - T) = const. + (1/K - 1/K_true) e(t - T) - (T_true - T) u(t - T) - (f/K) sign(u(t - T))
 
-Differences over a short time eliminate the constant; the other two terms are estimated for each joint by recursive
-least squares with exponential forgetting. Backlash and friction reduce the apparent stiffness, so it is compared with
-that at the beginning of the walk.
+Differences over a short time eliminate the constant; the other terms are estimated for each joint by recursive least
+squares with exponential forgetting while it moves. The delay is the median of the joints, so that one that is blocked
+does not count, and replaces the assumed one as far as the motion has shown it, and where the difference is more than
+the sampling leaves open. Backlash and friction reduce the apparent stiffness, so it is compared with that at the
+beginning of the walk.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +28,24 @@ __all__ = ["DriveWatch"]
 
 _EVERY, _SPAN, _FORGET = 0.02, 0.2, 10.0
 """Sampling period, time over which differences are taken, and time constant of the forgetting [s]."""
+_FADE = math.exp(-_EVERY / _FORGET)
+_SOLVE = 0.1
+"""Period in which the equations are solved [s]."""
+_SIGN = 0.1
+"""Velocity at which the friction has three quarters of its torque [rad/s]."""
+_MOVES = 0.05
+"""Largest velocity of a robot that stands still, and forgets nothing [rad/s]."""
+_HELD = 0.9
+"""S is ahead of the angles by this part of the period in which a goal is held: 1 in its middle, 0.5 at its end."""
+_PRIOR = 30.0
+"""Information that shows half of a deviation, the sum of the squares of changes of velocity [rad^2/s^2]."""
+_NOISE = 0.005
+"""Error above which the equations do not explain the angles: a joint is blocked, or its goal is clamped [rad]."""
+_LEAST, _STEP, _MOST = 0.005, 0.002, 0.05
+"""Least deviation of the delay that is corrected first, if it is more than half of a period, and then; and the largest
+one [s]."""
+_TINY = 1e-9
+"""What is added to the sums of squares, so that a joint at rest has a solution."""
 _LEARNED = 15.0
 """Time of the walk at which the reference value of the stiffness is taken [s]."""
 DELAYED, SAGGED = 0.015, 0.88
@@ -36,74 +57,141 @@ class DriveWatch:
 
     Parameters
     ----------
-    drive : Drive
-        Model of the drive that the controller uses.
+    assumed : Drive
+        Model of the drive that the parameters describe.
 
     Attributes
     ----------
+    drive : Drive
+        The model with the delay that was learned.
     delay : float
         Difference of the true from the assumed delay [s]; nan before the first estimate.
     stiffness : float
         Ratio of the true to the assumed stiffness; nan before the first estimate.
     """
 
-    def __init__(self, drive: Drive) -> None:
-        self._drive, n = drive, drive.stiffness.size
+    def __init__(self, assumed: Drive) -> None:
+        self.drive = self._assumed = assumed
+        self._period, n = 0.0, assumed.stiffness.size
         self.delay = self.stiffness = self._reference = math.nan
-        self._sum, self._u, self._began = np.zeros(n), np.zeros(n), math.nan
-        self._time = self._sampled = math.nan
-        self._commands: deque[tuple[float, Array]] = deque()  # S, e and u (3, n), over the delay
-        self._samples: deque[tuple[float, Array]] = deque()  # q - S, e and u (3, n), over the span
-        self._products = np.zeros((3, 3, n))
+        self._T = assumed.delay  # of the differences q - S
+        self._time = self._since = math.nan
+        self._commands: deque[tuple[float, Array]] = deque()  # S and e (2, n), over the delay
+        self._samples: deque[tuple[float, Array]] = deque()  # q - S, u, sign and e (4, n), over the span
+        self._products, self._count, self._solved = np.zeros((n, 4, 4)), 0.0, -math.inf
 
-    def add(self, time: float, q: Array, velocity: Array, effort: Array) -> None:
-        """Add the angles at `time` [s], the command [rad/s] and the feedforward torques [N m], shape (n,) each."""
+    def add(self, time: float, q: Array, motion: Array, effort: Array | None, dt: float) -> None:
+        """Add a state and the torques of the command that answers it.
+
+        Parameters
+        ----------
+        time : float
+            Time of the state [s].
+        q, motion : ndarray, shape (n,)
+            Its angles, and S before the command that answers it [rad].
+        effort : ndarray, shape (n,), or None
+            Torques that are fed forward [N m].
+        dt : float
+            Period for which the command holds [s].
+        """
         if not 0.0 <= time - self._time < 5.0 * _SPAN:  # the first state, or the first one after an interruption
-            self._commands.clear()
-            self._samples.clear()
-            self._sampled, self._time = -math.inf, time
-            self._began = time if math.isnan(self._began) else self._began
-        self._sum = self._sum + (time - self._time) * self._u
-        self._time, self._u = time, velocity
-        if time - self._sampled < _EVERY - 1e-9:
+            self.interrupt()
+            self._since = time if math.isnan(self._since) else self._since
+        elif time - self._time < _EVERY - 1e-9:
             return
-        self._sampled = time
-        self._commands.append((time, np.array([self._sum, effort, velocity])))
-        delayed = time - self._drive.delay
-        while len(self._commands) > 1 and self._commands[1][0] <= delayed:
+        self._time, self._period = time, dt
+        self._commands.append((time, np.array([motion, np.zeros_like(q) if effort is None else effort])))
+        delayed = time - self._T
+        while len(self._commands) > 2 and self._commands[1][0] <= delayed:
             self._commands.popleft()
         if len(self._commands) < 2 or self._commands[0][0] > delayed:
             return
         (t0, before), (t1, after) = self._commands[0], self._commands[1]
-        sample = before + (delayed - t0) / (t1 - t0) * (after - before)
-        sample[0] = q - sample[0]
+        rate = (after - before) / (t1 - t0)
+        S, e = before + (delayed - t0) * rate
+        sample = np.array([q - S, rate[0], np.tanh(rate[0] / _SIGN), e])
         self._samples.append((time, sample))
         if time - self._samples[0][0] < _SPAN - 1e-9:
             return
-        d = sample - self._samples.popleft()[1]
-        self._products = math.exp(-_EVERY / _FORGET) * self._products + d[:, None] * d[None]
-        if time - self._began > _FORGET:
-            self._solve()
-            if math.isnan(self._reference) and time - self._began > _LEARNED:
-                self._reference = self.stiffness
+        d = (sample - self._samples.popleft()[1]).T
+        if np.abs(rate[0]).max() > _MOVES:
+            self._products *= _FADE
+            self._count *= _FADE
+        self._products += d[:, :, None] * d[:, None]
+        self._count += 1.0
+        if time - self._solved > _SOLVE - 1e-9:
+            self._solved = time
+            self._solve(time)
+
+    def interrupt(self) -> None:
+        """Compare the states that follow with no earlier one, because commands or angles were interrupted."""
+        self._commands.clear()
+        self._samples.clear()
+        self._time = math.nan
 
     def warnings(self) -> list[str]:
         """Return a message for each quantity that exceeds its limit, with its value."""
         out = []
         if self.delay > DELAYED:
-            out.append(f"the drive is {1e3 * self.delay:.0f} ms later than servo.assumed_* say")
+            more = f"add {1e3 * self.delay:.0f} ms to servo.assumed_latency"
+            out.append(f"the drive is {1e3 * self.delay:.0f} ms later than servo.assumed_* say; {more}")
         if self.stiffness < SAGGED * self._reference:
             out.append(
                 f"the servos have {100.0 * self.stiffness / self._reference:.0f} % of the stiffness of the beginning"
             )
         return out
 
-    def _solve(self) -> None:
-        """Set `delay` and `stiffness` to the means over the joints, weighted by the information of each joint."""
-        (_, ye, yu), (_, ee, eu), (_, _, uu) = self._products
-        det = np.maximum(ee * uu - eu * eu, 1e-30)
-        softer, later = (ye * uu - yu * eu) / det, -(yu * ee - ye * eu) / det
-        K = self._drive.stiffness
-        of_u, of_e = det / np.maximum(ee, 1e-12), det / np.maximum(uu, 1e-12) / np.maximum(K, 1e-3) ** 2
-        self.delay = float(of_u @ later / max(of_u.sum(), 1e-30))
-        self.stiffness = 1.0 / max(1.0 - float(of_e @ (K * softer) / max(of_e.sum(), 1e-30)), 0.05)
+    def _solve(self, time: float) -> None:
+        """Set `drive`, and after some time of walking `delay` and `stiffness`."""
+        (later, _), (known, _) = _fitted(self._products[:, :3, :3], self._count)
+        true = self._T - _median(later, known) + _HELD * self._period
+        K = self._assumed.stiffness
+        if time - self._since > _FORGET:
+            (_, _, softer), (_, _, sure) = _fitted(self._products, self._count)
+            weights = sure / np.maximum(K, 1e-3) ** 2
+            self.delay = true - self._assumed.delay
+            self.stiffness = 1.0 / max(1.0 - float(weights @ (K * softer) / weights.sum()), 0.05)
+            if math.isnan(self._reference) and time - self._since > _LEARNED:
+                self._reference = self.stiffness
+        self._learn(true, float(known.sum()))
+
+    def _learn(self, true: float, known: float) -> None:
+        """Use the delay that was found [s], as far as the information `known` shows it; forget what led to it."""
+        now, assumed = self.drive.delay, self._assumed.delay
+        least = _STEP if self.drive is not self._assumed else max(_LEAST, 0.5 * self._period)
+        delay = now + (true - now) * known / (known + _PRIOR)
+        delay = min(max(delay, assumed - _MOST, 0.0), assumed + _MOST)
+        if abs(delay - now) > least:
+            self.drive, self._T = replace(self._assumed, delay=delay), max(delay - _HELD * self._period, 0.0)
+            self.delay, self._reference, self._since = delay - assumed, math.nan, self._time
+            self._products[:], self._count = 0.0, 0.0
+            self._samples.clear()
+
+
+def _fitted(products: Array, count: float) -> tuple[Array, Array]:
+    """Return the coefficients with which the other quantities explain the first one, and the information on each.
+
+    Parameters
+    ----------
+    products : ndarray, shape (n, k, k)
+        Sums of the products of the quantities, for each joint.
+    count : float
+        Number of products.
+
+    Returns
+    -------
+    coefficients, information : ndarray, shape (k - 1, n)
+        The information is less where the first quantity is not explained.
+    """
+    P, y = products[:, 1:, 1:], products[:, 1:, 0]
+    inverse = np.linalg.inv(P + _TINY * np.eye(P.shape[1]))
+    x = (inverse @ y[..., None])[..., 0]
+    left = np.maximum(products[:, 0, 0] - (x * y).sum(axis=1), 0.0) / count
+    return x.T, np.minimum(_NOISE**2 / np.maximum(left, 1e-12), 1.0) / np.diagonal(inverse, axis1=1, axis2=2).T
+
+
+def _median(values: Array, weights: Array) -> float:
+    """Return the median of values (n,) with weights (n,)."""
+    order = np.argsort(values)
+    sums = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(sums, 0.5 * sums[-1])]])

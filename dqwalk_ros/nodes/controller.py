@@ -18,7 +18,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode, Fields
 from dqwalk_ros.nodes.arms import ArmInput
@@ -34,7 +33,6 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
-from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.simulation import warm_up
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
@@ -123,7 +121,6 @@ class Controller(AnsweringNode):
         self._phases = PhasePublisher(self, self._model, self._publish_description())
         self._odometry = Odometry(self, self._model)
         self._load_topics = [self.advertise(f"{foot.value}_foot_load") for foot in Foot]
-        self._drive = DriveWatch(Drive.of(config, self._model))
         self._first_base: Foot | None = None  # its sole is the frame odom
         self._show_phase()
 
@@ -242,8 +239,6 @@ class Controller(AnsweringNode):
         command: Command | None = self._guarded(step)
         if command is None:
             return self._still
-        if command.effort is not None:
-            self._drive.add(state.time, state.q, command.velocity, command.effort)
         if self._stamp0 < 0:
             self._stamp0 = stamp
         if self._phases.follow(self._controller, stamp):
@@ -341,7 +336,6 @@ class Controller(AnsweringNode):
             return self.answer(response, False, "it would fall in mid-step; call ~/pause first, then it stands")
         self._controller.reset()
         self._odometry.restart()
-        self._drive = DriveWatch(Drive.of(self.config, self._model))
         self._phases.restart()
         self._mode, self._problem, self._pausing, self._first_base = Mode.IDLE, "", False, None
         self._stamp = self._stamp0 = -1
@@ -396,9 +390,10 @@ class Controller(AnsweringNode):
             values |= self._steering.values()
         if self._arms is not None:
             values |= self._arms.values()
-        if math.isfinite(self._drive.delay):
-            values |= {"excess delay": self._drive.delay, "stiffness ratio": self._drive.stiffness}
-        warning = "; ".join(filter(None, [*self._drive.warnings(), self._gate.inertial.warning]))
+        drive = self._controller.drive
+        if math.isfinite(drive.delay):
+            values |= {"excess delay": drive.delay, "stiffness ratio": drive.stiffness}
+        warning = "; ".join(filter(None, [*drive.warnings(), self._gate.inertial.warning]))
         return "WARN" if warning else "OK", warning or self._label, values
 
     def _report_progress(self, final: bool = False) -> None:

@@ -35,6 +35,7 @@ from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
+    from dqwalk_ros.robot.servos import Drive
 
 __all__ = ["PaperWalk", "Walk", "com_target", "joint_limits", "pelvis_height"]
 
@@ -200,6 +201,9 @@ class Walk(ABC):
         return gravity_torques(kin, both=phase.kind is not PhaseKind.SINGLE_SUPPORT)
 
     # ------------------------------------------------------------------ requests from outside
+
+    def use(self, drive: Drive) -> None:  # noqa: B027
+        """Use the model of the servos that the controller has learned."""
 
     def tune(self, config: Config) -> None:
         """Replace the parameters from the next phase on (`config.Spec.live`).

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqwalk_ros.estimation.delay import CommandHistory
+from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.paper.constraints import vfi
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.report.metrics import Series
@@ -17,7 +18,7 @@ from dqwalk_ros.robot.servos import Drive, Servos
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.trace import Trace
 
-__all__ = ["Load", "limits_at", "limits_reached", "most_loaded"]
+__all__ = ["Load", "acting", "limits_at", "limits_reached", "most_loaded"]
 
 
 _AT_LIMIT = 1e-6
@@ -61,24 +62,41 @@ def most_loaded(trace: Trace) -> Load | None:
     return Load(float(load[tick, joint]), trace.model.joint_names[joint], float(trace.time[tick + 1]))
 
 
-def limits_reached(series: Series) -> Mapping[str, int]:
+def acting(trace: Trace) -> tuple[Array, Array]:
+    """Return the angles at which the controller expected its commands to act, and the delay that it used.
+
+    Returns
+    -------
+    angles : ndarray, shape (N, n)
+        [rad]
+    delay : ndarray, shape (N,)
+        [s]
+    """
+    assumed, history = Drive.of(trace.config, trace.model), CommandHistory(0.0, trace.model.n)
+    watch, angles, delay, dt = DriveWatch(assumed), np.empty_like(trace.q), np.empty(len(trace)), trace.config.dt
+    for tick, (time, q, u) in enumerate(zip(trace.time.tolist(), trace.q, trace.u, strict=True)):
+        history.delay = delay[tick] = watch.drive.delay
+        angles[tick], motion = q + history.pending(time), history.motion
+        if np.isfinite(u).all():
+            history.add(time, u, dt)
+            if trace.up(tick) is not None:  # torques are fed forward
+                watch.add(time, q, motion, None, dt)
+    return angles, delay
+
+
+def limits_reached(series: Series, angles: Array) -> Mapping[str, int]:
     """Return on how many ticks of its steps the velocity of a joint was at a limit, the most frequent limit first.
 
-    The names are those of the constraints (U12) and (U13), such as ``joint_max/l_knee_y``, and ``speed/l_knee_y``.
+    The commands act at `angles` (N, n) [rad]. The names are those of the constraints (U12) and (U13), such as
+    ``joint_max/l_knee_y``, and ``speed/l_knee_y``.
     """
     trace, model, found = series.trace, series.trace.model, Counter[str]()
-    history = CommandHistory(0.0, model.n)
     for span in series.spans:
         config, (upper, lower) = span.record.config or trace.config, span.phase.limits
-        history.delay = Drive.of(config, model).delay
         fastest = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
         for tick in range(span.start, span.end):
-            u, time = trace.u[tick], float(trace.time[tick])
-            if not np.isfinite(u).all():
-                continue
-            q = trace.q[tick] + history.pending(time)  # at which the command acts
-            history.add(time, u, config.dt)
-            if span.phase.kind is PhaseKind.STANCE:
+            u, q = trace.u[tick], angles[tick]
+            if not np.isfinite(u).all() or span.phase.kind is PhaseKind.STANCE:
                 continue
             d_max, d_min = model.q_max - q, q - model.q_min
             most, least = (

@@ -83,6 +83,9 @@ def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("joint speed", fastest))
     reached = [f"{name} on {count} ticks" for name, count in list(walk["limits_reached"].items())[:_LIMITS_SHOWN]]
     lines.append(("limits reached", ", ".join(reached) or "none while it steps"))
+    if (delay := walk["delay"])["used"] != delay["assumed"]:
+        used, assumed = mm * delay["used"], mm * delay["assumed"]
+        lines.append(("delay", f"{used:.0f} ms by the motion of the joints, {assumed:.0f} ms by servo.assumed_*"))
     if "paper" in margin:
         lines.append(("paper margin", _margin(margin["paper"])))
     if quasi_static(report):

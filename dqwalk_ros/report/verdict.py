@@ -23,7 +23,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.statics import GRAVITY
-from dqwalk_ros.report.binding import limits_reached, most_loaded
+from dqwalk_ros.report.binding import acting, limits_reached, most_loaded
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.ground import FALLEN, WAY, Ground, shortfall
 from dqwalk_ros.report.metrics import Ending, Series, Span, paper_margin, support_polygon
@@ -400,6 +400,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
     way = np.diff(np.mean(stands, axis=0), axis=0)[0]  # of the middle of the soles
     ahead = np.array([DQ(span.record.x_odom_base).rotation_matrix()[:, 0] for span in series.spans])
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))  # of the base soles, unwrapped
+    angles, delay = acting(trace)
     return {
         "finished": trace.finished,
         "cut": trace.cut,
@@ -417,7 +418,8 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
             "largest": float(np.nanmax(np.abs(trace.u), initial=0.0)),
             "of_limit": float(np.nanmax(np.abs(trace.u) / trace.model.velocity_max, initial=0.0)),
         },
-        "limits_reached": limits_reached(series),
+        "limits_reached": limits_reached(series, angles),
+        "delay": {"assumed": float(delay[0]), "used": float(delay[-1])},
         "unit_norm_error": _unit_norm_error(series),
         "unanswered": int(np.count_nonzero(~np.isfinite(trace.u).all(axis=1))),
     }

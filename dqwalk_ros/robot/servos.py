@@ -203,9 +203,8 @@ class Drive:
     ----------
     stiffness : ndarray, shape (n,)
         Stiffness by which feedforward torques are converted to offsets of the goal [N m/rad]; 0: no feedforward.
-    damping : ndarray, shape (n,)
-        Torque per joint velocity that is fed back, less the part that the lead compensates where it would act late
-        [N m s/rad].
+    lag : ndarray, shape (n,)
+        Torque per joint velocity by which a servo lags: its damping and back EMF [N m s/rad].
     lead : ndarray, shape (n,)
         Torque per commanded velocity by which the goal is ahead, against the damping of a servo [N m s/rad]. It is in
         addition to a command's torques and to their limits, because the servo takes it away again.
@@ -217,7 +216,7 @@ class Drive:
     """
 
     stiffness: Array
-    damping: Array
+    lag: Array
     lead: Array
     armature: Array
     delay: float
@@ -249,8 +248,15 @@ class Drive:
                 lead[joints] = np.minimum(lead[joints], lag[joints])
         period = 1.0 / c.assumed_rate if c.assumed_rate > 0.0 else 0.0
         delay = c.assumed_latency + 0.5 * period + max(float((lag - lead).mean()), 0.0)
-        damping = np.maximum(lag - min(delay / _LATE, 1.0) * lead, 0.0)
-        return cls(stiffness, damping * stiffness, lead * stiffness, armature, delay)
+        return cls(stiffness, lag * stiffness, lead * stiffness, armature, delay)
+
+    @cached_property
+    def damping(self) -> Array:
+        """Torque per joint velocity that is fed back, shape (n,) [N m s/rad].
+
+        It is the lag less the part that the lead compensates where the feedback would act late.
+        """
+        return np.maximum(self.lag - min(self.delay / _LATE, 1.0) * self.lead, 0.0)
 
     def angles(self, effort: Array) -> Array:
         """Return the offsets of the goals (n,) [rad] that produce the torques `effort` (n,) [N m]."""

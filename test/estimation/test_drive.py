@@ -8,33 +8,40 @@ import numpy as np
 import pytest
 
 import dqwalk_ros as dq
+from dqwalk_ros.config import overlaid
 from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.plants.table import make_plant
+from dqwalk_ros.report.binding import acting
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.simulation import closed_loop
+from dqwalk_ros.simulation import closed_loop, simulate
 from dqwalk_ros.walks.table import make_controller
 
 N, STIFFNESS, DELAY = 4, 50.0, 0.05
 
 
 def simulated(
-    watch: DriveWatch, *, extra: float = 0.0, stiffness: float = STIFFNESS, begin: float = 0.0, seconds: float = 20.0
-) -> DriveWatch:
-    """Simulate joints with delay, compliance under load, and encoder quantization."""
+    watch: DriveWatch, *, extra: float = 0.0, stiffness: float = STIFFNESS, begin: float = 0.0, seconds: float = 20.0,
+    blocked: bool = False,
+) -> DriveWatch:  # fmt: skip
+    """Simulate joints whose goals are held for a period, with a delay, compliance under load, and encoders.
+
+    The middle of a period is `DELAY` and `extra` after the state that its command answers [s].
+    """
     dt, phase, K = 0.005, np.arange(N), np.full(N, stiffness)
 
     def path(t: float) -> np.ndarray:
-        return 0.2 * np.sin(1.1 * t + phase) + 0.05 * np.sin(3.0 * t)
+        return 0.2 * np.sin(2.3 * t + phase) + 0.08 * np.sin(6.0 * t)
 
     def load(t: float) -> np.ndarray:
         return 0.5 + 0.4 * np.cos(0.7 * t + phase) + 0.1 * np.sin(4.0 * t)
 
     for k in range(round(seconds / dt)):
         t = begin + dt * k
-        past = t - DELAY - extra
-        q = path(past) + (1.0 / STIFFNESS - 1.0 / K) * load(past)
+        answered = begin + dt * math.floor((t - begin - DELAY + 0.5 * dt - extra) / dt + 1e-6)
+        q = path(answered + dt) + (1.0 / STIFFNESS - 1.0 / K) * load(answered)
         q = np.rint(q / 0.001534) * 0.001534
-        watch.add(t, q, (path(t + dt) - path(t)) / dt, load(t))
+        q[-1] = 0.0 if blocked else q[-1]
+        watch.add(t, q, path(t), load(t), dt)
     return watch
 
 
@@ -47,12 +54,15 @@ def test_a_drive_as_assumed_gives_no_warning() -> None:
     assert found.delay == pytest.approx(0.0, abs=0.003)
     assert found.stiffness == pytest.approx(1.0, abs=0.1)
     assert found.warnings() == []
+    assert found.drive.delay == DELAY
 
 
+@pytest.mark.parametrize("blocked", [False, True])
 @pytest.mark.parametrize("extra", [0.02, 0.04, -0.02])
-def test_a_deviating_delay_is_measured(extra: float) -> None:
-    found = simulated(watch(), extra=extra)
-    assert found.delay == pytest.approx(extra, abs=0.003)
+def test_a_deviating_delay_is_measured_and_used(extra: float, blocked: bool) -> None:
+    found = simulated(watch(), extra=extra, seconds=60.0, blocked=blocked)
+    assert found.delay == pytest.approx(extra, abs=0.004)
+    assert found.drive.delay == pytest.approx(DELAY + extra, abs=0.005)
     assert bool(found.warnings()) is (extra > 0.0)
     assert all(f"{1e3 * found.delay:.0f} ms" in text for text in found.warnings())
 
@@ -82,10 +92,27 @@ def test_delay_and_stiffness_are_identified_in_physics(latency: float, stiffness
     })  # fmt: skip
     model = dq.load_model(assumed.robot)
     plant = make_plant("physics", assumed.updated({"servo.latency": latency, "servo.stiffness": stiffness}), model)
-    found = DriveWatch(Drive.of(assumed, model))
-    for state, command in closed_loop(make_controller(assumed, model), plant):
-        if command.effort is not None:
-            found.add(state.time, state.q, command.velocity, command.effort)
+    controller = make_controller(assumed, model)
+    for _ in closed_loop(controller, plant):
+        pass
+    found = controller.drive
     assert found.delay == pytest.approx(latency, abs=0.01)
     if not latency:
         assert found.stiffness == pytest.approx(stiffness / 60.0, rel=0.15)
+
+
+def test_a_walk_corrects_a_delay_that_was_assumed_too_long_by_20_ms() -> None:
+    """The report repeats what the controller has learned from the recorded angles and commands."""
+    config = overlaid(dq.load("poppy_dynamic_50hz"), "poppy_as_built").updated({
+        "gait.steps": 10, "qp.solver": "daqp", "servo.latency": 0.01, "servo.p_gain": 127,
+    })  # fmt: skip
+    model = dq.load_model(config.robot)
+    controller = make_controller(config, model)
+    trace = simulate(controller, make_plant("poppy_as_built", config, model))
+    assumed = Drive.of(config, model).delay
+    assert trace.finished
+    assert controller.drive.drive.delay == pytest.approx(assumed - 0.02, abs=0.01)
+    assert controller.drive.warnings() == []
+    _, delay = acting(trace)
+    assert (delay[0], delay[-1]) == (assumed, controller.drive.drive.delay)
+    assert np.abs(np.diff(delay)).max() > 0.005

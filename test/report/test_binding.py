@@ -13,7 +13,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import analyse
-from dqwalk_ros.report.binding import limits_at, limits_reached, most_loaded
+from dqwalk_ros.report.binding import acting, limits_at, limits_reached, most_loaded
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.trace import PhysicsRecord, Trace
@@ -68,6 +68,6 @@ def test_the_limits_found_in_a_record_are_those_of_the_quadratic_programs() -> N
 
     trace = simulate(controller, Watched(MODEL, make_walk(config, MODEL).posture))
     assert trace.finished, trace.notes
-    reached = limits_reached(analyse(trace))
+    reached = limits_reached(analyse(trace), acting(trace)[0])
     assert reached == found
     assert {name.split("/")[0] for name in reached} == {"speed", "joint_min"}

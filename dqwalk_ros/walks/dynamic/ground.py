@@ -30,12 +30,10 @@ class Ground:
     ----------
     up : ndarray, shape (3,)
         The vertical, the unit vector against gravity, in axes of a sole that stands flat on the ground.
-    unsure : float
-        Part of an inclination that is not taken for tipping, because a sole yields and the sensor is noisy [rad].
     """
 
-    def __init__(self, up: Array, unsure: float) -> None:
-        self._vertical, self._unsure = up, unsure
+    def __init__(self, up: Array) -> None:
+        self._vertical = up
 
     def observe(self, up: Array, dt: float) -> None:
         """Include the vertical `up` (3,) in axes of the supporting sole, `dt` [s] after the last one, in the mean."""
@@ -46,12 +44,13 @@ class Ground:
         along = other.points(self._vertical[:2]) - other.points(np.zeros(2))
         self._vertical = np.array([*along, self._vertical[2]])
 
-    def tip(self, up: Array) -> Array:
+    def tip(self, up: Array, unsure: float) -> Array:
         """Return the rotation from a flat sole's axes to those of the sole with the vertical `up` (3,), vec8 (8,).
 
-        It is smaller than the inclination against the ground by the dead zone.
+        It is smaller than the inclination against the ground by the dead zone `unsure` [rad], because a sole yields and
+        the sensor is noisy.
         """
-        x: Array = _towards(self._vertical, up, self._unsure)
+        x: Array = _towards(self._vertical, up, unsure)
         return x
 
 

@@ -130,11 +130,18 @@ class Pendulum:
     """
 
     def __init__(self, omega: Array, delay: float, period: float) -> None:
-        self._omega, self._delay, self._wait = omega, delay, max(delay - 0.5 * period, 0.0)
+        self._omega, self._period = omega, period
         self.c, self.xi, self.smooth, self.pressure = np.zeros((4, 2))
         # commanded zero-moment points, the last ones, and since when each one acts
-        self._points = np.zeros((math.ceil(delay / period) + 3, 2))
-        self._begins = np.full(len(self._points), -math.inf)
+        self._points, self._begins = np.zeros((3, 2)), np.full(3, -math.inf)
+        self.use(delay)
+
+    def use(self, delay: float) -> None:
+        """Use another delay T [s] from the next command on."""
+        self._delay, self._wait = delay, max(delay - 0.5 * self._period, 0.0)
+        if (more := math.ceil(delay / self._period) + 3 - len(self._points)) > 0:
+            self._points = np.concatenate([np.repeat(self._points[:1], more, axis=0), self._points])
+            self._begins = np.concatenate([np.full(more, -math.inf), self._begins])
 
     def reset(self, c: Array, xi: Array, planned: Array) -> None:
         """Begin at the measured c and xi (2,) with the divergent component `planned` (2,) [m]; nothing is under way."""

@@ -101,6 +101,11 @@ class RecoveringWalk(StandingWalk):
         self.steps.arms = self.arms
         self.steps.prepare()
 
+    def use(self, drive: Drive) -> None:
+        """Use a model of the servos also for the steps."""
+        self._in_time = drive.delay <= _LATEST
+        self.steps.use(drive)
+
     def tune(self, config: Config) -> None:
         """Replace the parameters from the next phase on, for the steps those that they share with this walk."""
         super().tune(config)

@@ -117,16 +117,12 @@ class DynamicWalk(SteppingWalk):
                 "standing.swing_duration"
             )
         self._step_now = np.zeros(3)  # length, side and turn of the current step
-        self._drive = Drive.of(config, model)
-        self._mass, delay = model.mass, self._drive.delay
-        self._advance = max(delay - config.dt, 0.0)
-        self._gain = config.standing.balance / (1.0 + delay / _LATE)
-        self._threshold = config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
-        self._unsure = _TIP_TOLERANCE_PER_DELAY * self._advance
+        self._mass = model.mass
+        self._assume(Drive.of(config, model))
         self._known: Phase | None = None
+        self._now: Pendulum
         self._time = -math.inf
         self._confirmed = max(round(_CONFIRMED / config.dt), 2)  # number of states
-        self._now: Pendulum
         self._force = GRAVITY * Z
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
         kin = Kinematics(model, self.posture, self._first)
@@ -167,6 +163,18 @@ class DynamicWalk(SteppingWalk):
         """Return where the CoM is while both feet stand: about halfway between the soles."""
         height = float(Kinematics(self.model, self.posture, Foot.LEFT).com[2])
         return Carried((0.5 - _SHIFT, 0.5 + _SHIFT), height)
+
+    def use(self, drive: Drive) -> None:
+        """Use a model of the servos: its delay moves the references ahead, and lowers the gain."""
+        self._assume(drive)
+        self._now.use(drive.delay)
+
+    def _assume(self, drive: Drive) -> None:
+        self._drive, delay = drive, drive.delay
+        self._advance = max(delay - self.config.dt, 0.0)
+        self._gain = self.config.standing.balance / (1.0 + delay / _LATE)
+        self._threshold = self.config.dynamic.catch_beyond * (1.0 + delay / _TOLERANT)
+        self._unsure = _TIP_TOLERANCE_PER_DELAY * self._advance
 
     # ------------------------------------------------------------------ order
 
@@ -330,7 +338,7 @@ class DynamicWalk(SteppingWalk):
         if not 0.0 <= dt <= _GAP:
             dt = 0.0
             now.reset(c, xi, xi if self._descends else c)
-            self._ground = Ground(up, self._unsure)
+            self._ground = Ground(up)
         now.advance(dt)
         if phase is not self._known:
             self._begin(phase, kin)
@@ -354,7 +362,7 @@ class DynamicWalk(SteppingWalk):
         if flight is not None:  # the foot must be on the ground before the weight is transferred
             down = flight.rule.duration - _DOWN_AHEAD * self._advance
             place, velocity, acceleration = flight.swing.step(t, down)
-            self._targets["swing"].set(turned(self._ground.tip(up), place), velocity)
+            self._targets["swing"].set(turned(self._ground.tip(up, self._unsure), place), velocity)
             z[0] += self.pendulum.swing * acceleration[0]
         now.command(state.time, moved_inside(z, *self._support, self.config.standing.pressure_margin))
         self._force = ground_force(c, now.pressure, omega, up)
@@ -491,7 +499,7 @@ class DynamicWalk(SteppingWalk):
             low=sole.center[:2] - half, high=sole.center[:2] + half, reach=np.array([ahead, d.catch_side]),
         )  # fmt: skip
         descends, self._descends = self._descends, False
-        start = (DQ(self._ground.tip(kin.up)).conj() * DQ(kin.pose(kin.swing))).vec8()
+        start = (DQ(self._ground.tip(kin.up, self._unsure)).conj() * DQ(kin.pose(kin.swing))).vec8()
         whole, level = (rule.duration, 0.0) if descends else (0.0, self._level(kin))
         swing = Swing(start, target, self.config.gait.step_height, whole, level)
         rule.begun = swing.begun
