@@ -88,7 +88,7 @@ def test_no_estimate_without_enough_data_and_gaps_are_tolerated() -> None:
 def test_delay_and_stiffness_are_identified_in_physics(latency: float, stiffness: float) -> None:
     """The controller assumes a latency of 0 and a stiffness of 60 N m/rad."""
     assumed = dq.load("poppy").updated({
-        "gait.steps": 3, "qp.solver": "daqp", "servo.assumed_damping": 0.02, "servo.assumed_rate": 200.0,
+        "gait.steps": 6, "qp.solver": "daqp", "servo.assumed_damping": 0.02, "servo.assumed_rate": 200.0,
     })  # fmt: skip
     model = dq.load_model(assumed.robot)
     plant = make_plant("physics", assumed.updated({"servo.latency": latency, "servo.stiffness": stiffness}), model)
