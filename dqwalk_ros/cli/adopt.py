@@ -60,7 +60,8 @@ examples:
 @click.argument("urdf", type=click.Path(path_type=Path))
 @folder_option("adopted")
 @force_option
-@click.option("--package-path", "places", metavar="DIR", multiple=True, type=click.Path(path_type=Path),
+@click.option("--package-path", "places", metavar="DIR", multiple=True,
+              type=click.Path(exists=True, file_okay=False, path_type=Path),
               help="Also search for ROS packages here; may be repeated.")  # fmt: skip
 @click.option("--xacro", "arguments", metavar="NAME=VALUE", multiple=True,
               help="Argument of a xacro file; may be repeated.")  # fmt: skip
