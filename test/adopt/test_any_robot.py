@@ -695,6 +695,14 @@ def test_legs_without_ankle_roll_and_waist_are_refused_for_that_whatever_their_f
         anatomy_of(read(tmp_path, rolls, round_))
 
 
+def test_legs_of_a_robot_whose_com_is_below_its_hips_are_taken_for_arms_unless_they_are_named() -> None:
+    urdf = Urdf.load(SMALL)
+    urdf.links["trunk"].inertial.origin[2, 3] -= 0.5
+    with pytest.raises(ModelError, match=r"like arms; if they are legs, .* name the feet with --left and --right$"):
+        anatomy_of(urdf)
+    assert find_anatomy(urdf, Shapes(urdf, SMALL), left="l_foot", right="r_foot").kinds == "YRPPPR"
+
+
 def test_knees_that_bend_sideways_are_named() -> None:
     """The axes of the legs have x and y exchanged."""
     urdf = Urdf.load(SMALL)
