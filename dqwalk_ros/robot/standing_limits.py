@@ -130,8 +130,8 @@ def servo_findings(config: Config, model: RobotModel) -> Iterator[Finding]:
         assumed = float(np.median(drive.stiffness))
         wrong = f" (assumed: {assumed:.3g})" if abs(assumed - stiffness) > 0.1 * stiffness else ""
         yield Finding(
-            f"a stiffness of {stiffness:.3g} N m/rad{wrong} is {stiffness / mgh:.2g} m g h; to stand a robot needs at "
-            f"least {STIFFNESS:g} m g h = {STIFFNESS * mgh:.3g} N m/rad, better 5 m g h",
+            f"a stiffness of {stiffness:.3g} N m/rad{wrong} is {stiffness / mgh:.2g} m g h; below "
+            f"{STIFFNESS:g} m g h = {STIFFNESS * mgh:.3g} N m/rad most robots fall, 5 m g h are better",
             "servo.stiffness, servo.assumed_stiffness" if wrong else "servo.stiffness",
             "stiffness",
         )
