@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -83,10 +84,12 @@ class Live:
         """Wait until a node has logged its first message."""
         self.until(lambda: "[INFO]" in self.processes.log(name), 60.0, f"the start of {name}")
 
-    def offer(self, kind: Any, topic: str, listener: str) -> Any:
-        """Create a publisher and wait until the node `listener` is connected; a recorder may be connected before it."""
+    def offer(self, kind: Any, topic: str, *listeners: str) -> Any:
+        """Create a publisher and wait until the nodes `listeners` are connected, each at a time of its own."""
         publisher = self.node.create_publisher(kind, topic, 10)
-        self.until(lambda: ros.is_heard_by(self.node, publisher, listener), 20.0, f"{listener} listening to {topic}")
+        for name in listeners:
+            heard = functools.partial(ros.is_heard_by, self.node, publisher, name)
+            self.until(heard, 20.0, f"{name} listening to {topic}")
         return publisher
 
     def spin(self, seconds: float) -> None:

@@ -62,8 +62,8 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
             assert got == pytest.approx(command.effort, abs=1e-3)
         plant.step(command, CONFIG.dt)
 
-    target = live.offer(PoseStamped, "hand_target", "whole_body_controller")
-    push = live.offer(WrenchStamped, "push", "rigid")
+    target = live.offer(PoseStamped, "hand_target", "whole_body_controller", "recorder")
+    push = live.offer(WrenchStamped, "push", "rigid", "recorder")
     goal = PoseStamped()
     goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = 1.2, -0.8, 0.9
     target.publish(goal)
@@ -88,7 +88,7 @@ def test_a_walk_over_topics_equals_that_of_one_process_and_is_recorded(nodes: An
     assert {s.message for s in statuses} <= {"waiting for body state", "in balance"}
     live.until(lambda: live.status("rigid") and live.status("rigid").level == b"\x00", 20.0, "a plant that is well")
 
-    stranger = live.node.create_publisher(JointState, "joint_effort_commands", 10)  # a second, faulty controller
+    stranger = live.offer(JointState, "joint_effort_commands", "rigid", "recorder")  # a second, faulty controller
     names = list(model.joint_names)
 
     def two_controllers() -> bool:
