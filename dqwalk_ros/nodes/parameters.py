@@ -15,12 +15,10 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from dqwalk_ros.config import OF_RCLPY, Config, Spec, is_foreign, resolved, sections_of
 from dqwalk_ros.plants.table import defaults_of
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError
 
 __all__ = ["declare"]
 
@@ -56,19 +54,10 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
     config = defaults_of(argv[0]).updated({name: value for name, value in given.items() if name not in foreign})
     for path in files:
         config = resolved(path, config)
-    made = [Parameter(name, value=_shown(value)) for name, value in config.flat().items()]
-    for parameter in made:
-        _DESCRIPTORS[parameter.name].type = parameter.type_.value
-    # `declare_parameters` would publish an event for each of them, which takes most of its time
-    result = node._set_parameters_atomically_common(made, _DESCRIPTORS, allow_not_set_type=True)
-    if not result.successful:
-        raise ConfigError(result.reason)
+    for name, value in config.flat().items():
+        shown: Any = (list(value) or [""]) if isinstance(value, tuple) else value
+        node.declare_parameter(name, shown, _DESCRIPTORS[name], ignore_override=True)
     return config
-
-
-def _shown(value: Any) -> Any:
-    """Return a value as a ROS parameter; an empty list has no type there."""
-    return (list(value) or [""]) if isinstance(value, tuple) else value
 
 
 def _check_sections(path: pathlib.Path, node: Node) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -74,7 +75,12 @@ def acting(trace: Trace) -> tuple[Array, Array]:
     """
     assumed, history = Drive.of(trace.config, trace.model), CommandHistory(0.0, trace.model.n)
     watch, angles, delay, dt = DriveWatch(assumed), np.empty_like(trace.q), np.empty(len(trace)), trace.config.dt
+    last = math.inf
     for tick, (time, q, u) in enumerate(zip(trace.time.tolist(), trace.q, trace.u, strict=True)):
+        if time - last > trace.config.plant.command_timeout:  # the plant held still, and the controller begins anew
+            history = CommandHistory(0.0, trace.model.n)
+            watch.interrupt()
+        last = time
         history.delay = delay[tick] = watch.drive.delay
         angles[tick], motion = q + history.pending(time), history.motion
         if np.isfinite(u).all():

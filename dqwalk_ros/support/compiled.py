@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import inspect
 import logging
 import os
 import pathlib
@@ -108,7 +109,8 @@ def _wrong_shape_of(given: Any, wanted: Any) -> Any:
     return raises
 
 
-arrayobj.raise_with_shape_context = _wrong_shape
+if len(inspect.signature(getattr(arrayobj, "raise_with_shape_context", print)).parameters) == 2:
+    arrayobj.raise_with_shape_context = _wrong_shape  # else this numba does it in another way
 
 
 def jit(function: Callable[..., Any]) -> Any:

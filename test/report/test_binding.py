@@ -9,6 +9,7 @@ import pytest
 
 import dqwalk_ros as dq
 from dqwalk_ros.config import overlaid
+from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.kinematic import KinematicPlant
@@ -71,3 +72,16 @@ def test_the_limits_found_in_a_record_are_those_of_the_quadratic_programs() -> N
     reached = limits_reached(analyse(trace), acting(trace)[0])
     assert reached == found
     assert {name.split("/")[0] for name in reached} == {"speed", "joint_min"}
+
+
+def test_after_an_interruption_the_commands_before_it_are_compared_with_no_angle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As the controller does, when the plant has held still."""
+    calls = list[bool]()
+    monkeypatch.setattr(DriveWatch, "interrupt", lambda watch: calls.append(True))
+    time, q = np.array([0.0, 0.005, 0.01, 0.5, 0.505]), np.zeros((5, MODEL.n))
+    trace = Trace(config=CONFIG, model=MODEL, time=time, q=q, u=q + 1.0, phases=(), solve_time=time, finished=True)
+    angles, _ = acting(trace)
+    assert len(calls) == 1
+    assert np.array_equal(angles[3], q[3])
