@@ -10,9 +10,8 @@ import math
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.estimation.delay import CommandHistory
-from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.estimation.load import FootLoads
+from dqwalk_ros.estimation.predictor import Predictor
 from dqwalk_ros.estimation.vertical import filtered_vertical
 from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -40,7 +39,7 @@ class VelocityController:
     continues.
 
     Delays of measurement and command, and the response of the servos, are compensated by the model `servos.Drive`.
-    Where torques are fed forward, its delay is corrected by what the joints show (`DriveWatch`).
+    Where torques are fed forward, its delay is corrected by what the joints show (`Predictor`).
 
     Parameters
     ----------
@@ -61,8 +60,8 @@ class VelocityController:
         Time of the state at which the phase began, shifted by pauses [s].
     finished : bool
         Whether the last phase is over; commands are zero from then on.
-    drive : DriveWatch
-        What the joints have shown of the drive since the walk began.
+    predictor : Predictor
+        The model of the drive, and what the joints have shown of it since the walk began.
     kin : Kinematics or None
         Kinematics at the last state.
     loads : ndarray, shape (2,), or None
@@ -98,10 +97,8 @@ class VelocityController:
         self.kin: Kinematics | None = None
         self.loads: Array | None = None
         self._foot_loads = FootLoads(self.config, self.model)
-        self._drive = Drive.of(self.config, self.model)
-        self.drive = DriveWatch(self._drive)
+        self.predictor = Predictor(Drive.of(self.config, self.model))
         self._last_state: State | None = None
-        self._history = CommandHistory(self._drive.delay, self.model.n)
         self._u, self._tau = np.zeros((2, self.model.n))  # the last command
         self._x_odom_base = DQ(1.0)
 
@@ -219,18 +216,16 @@ class VelocityController:
         self.kin, self.error = kin, error
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
-        state.elapsed += self._drive.delay
+        state.elapsed += self.predictor.drive.delay
         self.problem = now.problem
         self.solution = self._solve(self.problem)
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
         u = _within(u, self._u, self.model.velocity_max)
-        motion = self._history.motion
-        self._history.add(state.time, u, dt)
         effort = self._effort(kin, state, u)
         if effort is not None:
             effort = self._tau = _within(effort, self._tau, self.model.effort_max)
-            self._learn(state, motion, effort, dt)
         self._u = u
+        self._learn(state, u, effort, dt)
         return Command(state.time, u, effort)
 
     def _estimated(self, state: State) -> State:
@@ -246,15 +241,14 @@ class VelocityController:
         if state.up is None:
             return None
         effort = self._active.effort(self.phase, kin, state, u)
-        return effort if state.dq is None else effort - self._drive.damping * (state.dq - u)
+        return effort if state.dq is None else effort - self.predictor.drive.damping * (state.dq - u)
 
-    def _learn(self, state: State, motion: Array, effort: Array, dt: float) -> None:
-        """Use what the joints show of the delay."""
-        self.drive.add(state.time, state.q, motion, effort, dt)
-        if self.drive.drive is not self._drive:
-            self._drive = self.drive.drive
-            self._history.delay = self._drive.delay
-            self.walk.use(self._drive)
+    def _learn(self, state: State, u: Array, effort: Array | None, dt: float) -> None:
+        """Include the command in the prediction, and tell the walk of another drive."""
+        drive = self.predictor.drive
+        self.predictor.add(state.time, state.q, u, effort, dt)
+        if self.predictor.drive is not drive:
+            self.walk.use(self.predictor.drive)
 
     def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, float, Evaluation]:
         """Return kinematics and error at `state`, and the evaluation at the predicted state at which the command acts.
@@ -266,8 +260,8 @@ class VelocityController:
         if (change := self._active.observe(self.phase, kin, state)) is not None:
             self.phase.apply(change)
             self._taking_over = change.walk
-        phase, delay, ahead = self.phase, self._drive.delay, state.q + self._history.pending(state.time)
-        now = phase.evaluate(ahead, kin.up, state.elapsed + delay, dt, self._limit)
+        phase, delay = self.phase, self.predictor.drive.delay
+        now = phase.evaluate(self.predictor.acting(state.time, state.q), kin.up, state.elapsed + delay, dt, self._limit)
         return kin, phase.assembly.error(kin, state.elapsed) if delay > 0.0 else now.error, now
 
     def _kinematics(self, state: State, base: Foot) -> Kinematics:
@@ -320,8 +314,7 @@ class VelocityController:
     def _resume(self, state: State, held: float) -> None:
         """Continue after an interruption, in which the plant held still for `held` [s] after its command timeout."""
         phase, self._u = self.phase, np.zeros(self.model.n)
-        self._history = CommandHistory(self._drive.delay, self.model.n)
-        self.drive.interrupt()
+        self.predictor.interrupt()
         if (still := self._active.restarts(phase)) is not None:
             again = Next(phase.kind, phase.support, phase.swing_target)
             self._begin(self._phase_at(state, again), state.time + still)

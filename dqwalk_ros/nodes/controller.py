@@ -390,7 +390,7 @@ class Controller(AnsweringNode):
             values |= self._steering.values()
         if self._arms is not None:
             values |= self._arms.values()
-        drive = self._controller.drive
+        drive = self._controller.predictor.watch
         if math.isfinite(drive.delay):
             values |= {"excess delay": drive.delay, "stiffness ratio": drive.stiffness}
         warning = "; ".join(filter(None, [*drive.warnings(), self._gate.inertial.warning]))

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dqwalk_ros.estimation.delay import CommandHistory
-from dqwalk_ros.estimation.drive import DriveWatch
+from dqwalk_ros.estimation.predictor import Predictor
 from dqwalk_ros.paper.constraints import vfi
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.report.metrics import Series
@@ -73,20 +72,17 @@ def acting(trace: Trace) -> tuple[Array, Array]:
     delay : ndarray, shape (N,)
         [s]
     """
-    assumed, history = Drive.of(trace.config, trace.model), CommandHistory(0.0, trace.model.n)
-    watch, angles, delay, dt = DriveWatch(assumed), np.empty_like(trace.q), np.empty(len(trace)), trace.config.dt
-    last = math.inf
+    predictor, dt = Predictor(Drive.of(trace.config, trace.model)), trace.config.dt
+    angles, delay, last = np.empty_like(trace.q), np.empty(len(trace)), math.inf
+    no_torques = np.zeros(trace.model.n)  # they do not matter for the delay
     for tick, (time, q, u) in enumerate(zip(trace.time.tolist(), trace.q, trace.u, strict=True)):
         if time - last > trace.config.plant.command_timeout:  # the plant held still, and the controller begins anew
-            history = CommandHistory(0.0, trace.model.n)
-            watch.interrupt()
+            predictor.interrupt()
         last = time
-        history.delay = delay[tick] = watch.drive.delay
-        angles[tick], motion = q + history.pending(time), history.motion
+        angles[tick], delay[tick] = predictor.acting(time, q), predictor.drive.delay
         if np.isfinite(u).all():
-            history.add(time, u, dt)
-            if trace.up(tick) is not None:  # torques are fed forward
-                watch.add(time, q, motion, None, dt)
+            fed_forward = trace.up(tick) is not None
+            predictor.add(time, q, u, no_torques if fed_forward else None, dt)
     return angles, delay
 
 

@@ -98,7 +98,7 @@ def test_delay_and_stiffness_are_identified_in_physics(latency: float, stiffness
     controller = make_controller(assumed, model)
     for _ in closed_loop(controller, plant):
         pass
-    found = controller.drive
+    found = controller.predictor.watch
     assert found.delay == pytest.approx(latency, abs=0.01)
     if not latency:
         assert found.stiffness == pytest.approx(stiffness / 60.0, rel=0.15)
@@ -118,9 +118,9 @@ def test_a_walk_corrects_a_delay_that_was_assumed_too_long_by_20_ms(monkeypatch:
     assumed = Drive.of(config, model).delay
     walk = report(analyse(trace))
     assert walk["ok"], walk["violations"]
-    assert controller.drive.drive.delay == pytest.approx(assumed - 0.02, abs=0.01)
-    assert controller.drive.drive is used[-1]
-    assert controller.drive.warnings() == []
+    assert controller.predictor.watch.drive.delay == pytest.approx(assumed - 0.02, abs=0.01)
+    assert controller.predictor.watch.drive is used[-1]
+    assert controller.predictor.watch.warnings() == []
     _, delay = acting(trace)
-    assert (delay[0], delay[-1]) == (assumed, controller.drive.drive.delay)
+    assert (delay[0], delay[-1]) == (assumed, controller.predictor.watch.drive.delay)
     assert np.abs(np.diff(delay)).max() > 0.005

@@ -9,7 +9,7 @@ import pytest
 
 import dqwalk_ros as dq
 from dqwalk_ros.config import overlaid
-from dqwalk_ros.estimation.drive import DriveWatch
+from dqwalk_ros.estimation.predictor import Predictor
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.kinematic import KinematicPlant
@@ -79,7 +79,7 @@ def test_after_an_interruption_the_commands_before_it_are_compared_with_no_angle
 ) -> None:
     """As the controller does, when the plant has held still."""
     calls = list[bool]()
-    monkeypatch.setattr(DriveWatch, "interrupt", lambda watch: calls.append(True))
+    monkeypatch.setattr(Predictor, "interrupt", lambda predictor: calls.append(True))
     time, q = np.array([0.0, 0.005, 0.01, 0.5, 0.505]), np.zeros((5, MODEL.n))
     trace = Trace(config=CONFIG, model=MODEL, time=time, q=q, u=q + 1.0, phases=(), solve_time=time, finished=True)
     angles, _ = acting(trace)
