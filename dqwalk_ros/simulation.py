@@ -41,20 +41,32 @@ def warm_up(config: Config, model: RobotModel) -> None:
     """Compile all functions used in a control period, so that no state is answered late.
 
     A walk with an inertial sensor takes its first steps on ideal joints, for at most `_WARM_UP`. In single support it
-    measures an angular velocity, as after a push, so that it adjusts the step. A steered walk takes two steps.
+    measures an angular velocity, as after a push, so that it adjusts the step. A steered walk takes two steps. Of a
+    walk without this sensor, which may last minutes, each phase is evaluated once, in the first posture.
     """
     with contextlib.suppress(DqwalkError):
         config = config.updated({"gait.steps": config.gait.steps or 2, "gait.footsteps": ()})
         controller, plant = make_controller(config, model), KinematicPlant(model, make_walk(config, model).posture)
+        state, effort, gyro = plant.state, np.zeros(model.n), np.zeros(3)
+        kin = Kinematics(model, state.q, Foot.LEFT)
         if not config.plant.imu:
-            controller.step(plant.state, config.dt)
+            controller.step(replace(state, dq=np.zeros(model.n), effort=effort), config.dt)
+            walk, phase = make_walk(config, model), None
+            for _ in range(_WARM_PHASES):
+                if (begins := walk.following(phase, kin)) is not None:
+                    phase = walk.phase(begins.kind, begins.support, state.q, begins.swing_target)
+                    kin = Kinematics(model, state.q, phase.base)
+                    walk.observe(phase, kin, state)
+                    phase.evaluate(state.q, kin.up, 0.0, config.dt, model.velocity_max)
             return
-        estimator, gyro, kin = BaseEstimator(config, model), np.zeros(3), Kinematics(model, plant.state.q, Foot.LEFT)
+        estimator = BaseEstimator(config, model)
         for k in range(2):
             estimator.update(k * config.dt, kin, np.zeros(3), np.array([0.0, 0.0, GRAVITY]), both=True)
         while controller.phase_index < _WARM_PHASES and plant.state.time < _WARM_UP:
             up = np.array([kin.direction(model.imu, axis)[2] for axis in np.eye(3)])  # of soles on level ground
-            plant.step(controller.step(replace(plant.state, up=up, gyro=gyro), config.dt), config.dt)
+            command = controller.step(replace(plant.state, up=up, gyro=gyro, effort=effort), config.dt)
+            plant.step(command, config.dt)
+            effort = effort if command.effort is None else command.effort
             gyro = np.full(3, 0.3 if controller.phase.kind is PhaseKind.SINGLE_SUPPORT else 0.0)
             kin = Kinematics(model, plant.state.q, controller.phase.base)
 

@@ -217,7 +217,10 @@ class ServoGoals:
         self._at, self._side, self._nearest = np.zeros(n), np.zeros(n), np.zeros(n)
         self.runaway, self._ran_away = np.zeros(n, np.bool_), False
         self.active = False
-        self._begin(gate.q.copy(), np.zeros(n))
+        zero = np.zeros(n)  # compiled here, so that the first command is not late
+        _find_runaways(zero, zero, self._most, self._side, self._nearest, self.runaway)
+        _goals(zero, zero, 1.0, zero, zero, window, *self._range, zero, zero, zero, self._fastest, self._step)
+        self._begin(gate.q.copy(), zero)
 
     @classmethod
     def of(

@@ -68,6 +68,10 @@ def motors() -> Motors:
 def test_an_angle_is_old_above_its_maximum_age(motors: Motors) -> None:
     assert not motors.look(MAX_AGE, fresh=False)
     assert "every motor does not answer" in motors.look(2.0**-20, fresh=False)["silent/lower"]
+    motors.bus.cause = [""] * 3  # each reply was good, the last one long ago
+    assert "not read for 0.25 s; is this computer too busy" in motors.look(0.125, fresh=False)["silent/lower"]
+    motors.measured.jumps[:] = 1
+    assert "sends implausible angles" in motors.look(fresh=False)["silent/hip"]
 
 
 def test_motors_with_different_causes_are_named_one_by_one(motors: Motors) -> None:

@@ -14,13 +14,13 @@ from walks import values
 
 import dqwalk_ros as dq
 from dqwalk_ros.config import find_share, overlaid, with_files
+from dqwalk_ros.estimation.load import FootLoads
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Observer
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.robot.servos import Drive
@@ -524,16 +524,25 @@ def test_no_file_is_parsed_during_a_walk(name: str, monkeypatch: pytest.MonkeyPa
     pytest.fail("no single support began")
 
 
-@pytest.mark.parametrize("changes", [{}, {"gait.steps": 0}])
-@pytest.mark.parametrize("name", ["poppy", "poppy_dynamic"])
-def test_warming_up_reaches_every_kind_of_phase(
-    name: str, changes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("name", "plant", "changes"),
+    [
+        *((name, "physics", {"gait.steps": steps}) for name in ("poppy", "poppy_dynamic") for steps in (20, 0)),
+        ("poppy", "poppy", {}),  # without an inertial sensor
+        ("paper", "integrator", {}),
+    ],
+)
+def test_warming_up_evaluates_every_kind_of_phase(
+    name: str, plant: str, changes: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun = []
-    begin = Walk.phase
-    monkeypatch.setattr(Walk, "phase", lambda self, kind, *rest: begun.append(kind) or begin(self, kind, *rest))
-    warm_up(overlaid(dq.load(name), "physics").updated(changes), MODEL)
-    assert {PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT} <= set(begun)
+    """What is compiled in the middle of a step stops the robot for seconds."""
+    evaluated, loads = [], []
+    evaluate, update = Phase.evaluate, FootLoads.update
+    monkeypatch.setattr(Phase, "evaluate", lambda one, *rest: evaluated.append(one.kind) or evaluate(one, *rest))
+    monkeypatch.setattr(FootLoads, "update", lambda *given: loads.append(update(*given)) or loads[-1])
+    warm_up(overlaid(dq.load(name), plant).updated(changes), MODEL)
+    assert {PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT} <= set(evaluated)
+    assert loads[0] is not None
 
 
 # ---------------------------------------------------------------------- tasks

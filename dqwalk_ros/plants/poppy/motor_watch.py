@@ -144,7 +144,10 @@ class MotorWatch:
             bus, silent = part.bus, np.flatnonzero(old[part.places])
             if bus.lost:
                 found[f"silent/{bus.name}"] = f"{bus.name} bus: {bus.lost}; plug it in"
-            elif len(silent) == len(part.places) and len(set(bus.cause)) == 1:
+            elif len(silent) == len(part.places) and not any(bus.cause) and not measured.jumps[part.places].any():
+                late = now - measured.at[part.places].min()
+                found[f"silent/{bus.name}"] = f"{bus.name} bus: not read for {late:.2f} s; is this computer too busy?"
+            elif len(silent) == len(part.places) and len(set(bus.cause)) == 1 and bus.cause[0]:
                 found[f"silent/{bus.name}"] = f"{bus.name} bus: every motor {bus.cause[0]}; " + (
                     "is the power on, and the cable plugged in?" if bus.cause[0] == SILENT else _DAMAGED
                 )
