@@ -217,8 +217,8 @@ class VelocityController:
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
         state.elapsed += self.predictor.drive.delay
-        self.problem = now.problem
-        self.solution = self._solve(self.problem)
+        self.solution = self._active.solved(now, self._solve)
+        assert self.problem is not None  # the last one solved
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
         u = _within(u, self._u, self.model.velocity_max)
         effort = self._effort(kin, state, u)
@@ -323,6 +323,7 @@ class VelocityController:
 
     def _solve(self, problem: Problem) -> Solution:
         """Return the solution of (U6), or, if it is infeasible, of the problem with a slower return (`lead_back`)."""
+        self.problem = problem
         try:
             return self._solver.solve(problem)
         except QPError as error:

@@ -61,6 +61,13 @@ class CommandHistory:
         pending: Array = self.motion - (s0 + fraction * (s1 - s0))
         return pending
 
+    def motion_of(self, time: float, motion: Array, dt: float) -> Array:
+        """Add the commanded motion (n,) of the period `dt` [s] from `time` [s] on; return what takes effect in it."""
+        before = self.pending(time)
+        self.add(time, motion / dt, dt)
+        effective: Array = motion + before - self.pending(time + dt)
+        return effective
+
     def _forget(self, begin: float) -> None:
         """Remove the commands that ended before `begin` [s]."""
         while len(self._sums) > 1 and self._sums[1][0] <= begin:

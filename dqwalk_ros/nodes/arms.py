@@ -80,6 +80,11 @@ class ArmInput:
         else:
             self._arms.reach(side, pose, frame)
 
+    def tell(self) -> None:
+        """Log what has happened to commands."""
+        for news in self._arms.news():
+            self._node.get_logger().warning(news)
+
     def values(self) -> dict[str, object]:
         """Return the values shown on /diagnostics."""
         return {f"{topic} rejected": count for topic, count in self._rejected.items()}

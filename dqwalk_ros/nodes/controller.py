@@ -239,6 +239,8 @@ class Controller(AnsweringNode):
         command: Command | None = self._guarded(step)
         if command is None:
             return self._still
+        if self._arms is not None:
+            self._arms.tell()
         if self._stamp0 < 0:
             self._stamp0 = stamp
         if self._phases.follow(self._controller, stamp):

@@ -8,11 +8,13 @@ from collections.abc import Callable
 import numpy as np
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.servo_goals import ServoGoals
 from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
 
 __all__ = ["Contradictions", "FallWatch"]
@@ -25,7 +27,8 @@ class Contradictions:
     asked for: their goals stay within ``servo.window`` of the joints, so a leg that yields is no contradiction. The sag
     of servos and the bias of a gyroscope stay small in this sum; an angle that has slipped or drifts does not. The goal
     of a joint that is blocked or frozen stays where the joint is, too, so the difference to the commanded motion is
-    integrated as well, with a shorter memory, because it contains all that the window withholds.
+    integrated as well, with a shorter memory, because it contains all that the window withholds. Both are expected
+    later by the delay of the drive (``servo.assumed_*``), so that a quick motion is no contradiction.
 
     Between two states that are further apart than two periods, states were lost, or the plant was late. In the first
     case it moved all the time; in the second for two periods only, because no plant makes up for lost time. Only motion
@@ -49,7 +52,7 @@ class Contradictions:
 
     def __init__(self, config: Config, model: RobotModel, timeout: Callable[[], float]) -> None:
         self._model, self._limit, self._period, self._timeout = model, config.safety.contradiction, config.dt, timeout
-        self._config = config
+        self._config, self._delay = config, Drive.of(config, model).delay
         self.largest = 0.0
         self.forget()
 
@@ -58,6 +61,7 @@ class Contradictions:
         self._before: State | None = None
         self._goals: ServoGoals | None = None
         self._off, self._turned = np.zeros((2, self._model.n)), np.zeros(3)
+        self._late = [CommandHistory(self._delay, self._model.n) for _ in self._off]
 
     def judge(self, state: State, commanded: Array, *, leaning: bool = False) -> str:
         """Return a description of the contradiction, empty if there is none.
@@ -75,7 +79,8 @@ class Contradictions:
             self.forget()
             self._before = state
             return ""
-        most = np.array([self._asked(before, commanded, passed), passed * commanded])
+        motions = self._asked(before, commanded, passed), passed * commanded
+        most = np.array([late.motion_of(before.time, m, passed) for late, m in zip(self._late, motions, strict=True)])
         least = min(1.0, 2.0 * self._period / passed) * most
         moved = state.q - before.q
         beyond = moved - np.clip(moved, np.minimum(least, most), np.maximum(least, most))

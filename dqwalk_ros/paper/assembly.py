@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -226,6 +226,8 @@ class Assembly:
         Number of equality rows, l.
     sqrt_weights : ndarray, shape (r,)
         Square roots of the weights of the tasks' rows.
+    damping : float
+        lambda of (U6).
     """
 
     def __init__(
@@ -287,6 +289,7 @@ class Assembly:
             np.zeros((count, len(watched.s))),
             np.empty(count),
         )
+        self.damping = damping
         self._form = (
             np.array([(eta if task.eta is None else task.eta, task.saturation) for task in tasks]),
             self.sqrt_weights,
@@ -317,6 +320,17 @@ class Assembly:
             names = itertools.compress(self.names, [*kept, *[True] * (2 * n)])
             problem = problem._replace(W=problem.W[kept], w=w[kept], names=tuple(names))
         return Evaluation(self, values, J, problem, error)
+
+    def share(self, now: Evaluation, names: Collection[str]) -> tuple[Array, Array]:
+        """Return H (n, n) and c (n,) of some tasks in the objective of the last evaluation, without damping."""
+        (_, n), rates = self._shape, self._stack[4]
+        H, c = np.zeros((n, n)), np.zeros(n)
+        for (name, span), (eta, saturation) in zip(self.task_spans.items(), self._form[0], strict=True):
+            if name in names:
+                J, weight = now.J[span], self.sqrt_weights[span] ** 2
+                H += (weight[:, None] * J).T @ J
+                c -= (weight * (converge(now.values[span], eta, saturation) - rates[span])) @ J
+        return H, c
 
     def error(self, kin: Kinematics, elapsed: float) -> float:
         """Return the norm of the first task's error, `elapsed` [s] after the phase began, without the program."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.collisions import capsules_in
 from dqwalk_ros.paper.constraints import (
     AxisLevel,
@@ -27,6 +28,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Cylinder, Line, Plane, X, Y, Z, wall_side
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, EndRule, Next, Phase, PhaseKind, Rule
+from dqwalk_ros.paper.qp.problem import Problem, Solution
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import gravity_torques
 from dqwalk_ros.paper.tasks import ComOverFoot, FramePose, Posture, Task
@@ -195,6 +197,10 @@ class Walk(ABC):
         A walk with online planning updates the targets of the tasks of `phase` here.
         """
         return None
+
+    def solved(self, now: Evaluation, solve: Callable[[Problem], Solution]) -> Solution:
+        """Return the solution of the quadratic program of an evaluation by `solve`."""
+        return solve(now.problem)
 
     def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
         """Return feedforward torques for the command `u` (n,), shape (n,) [N m]: by default they compensate gravity."""

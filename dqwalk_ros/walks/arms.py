@@ -6,19 +6,23 @@ limits and distances are kept by all joints. A pose of a hand is one in the trun
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.paper.assembly import Evaluation
+from dqwalk_ros.paper.collisions import capsules_in
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Affine, Direction, Feature, JointAngles, Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase
+from dqwalk_ros.paper.qp.problem import Problem, Solution
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.robot.model import RobotModel
@@ -33,6 +37,14 @@ _LOOSE = 0.03
 """Factor of the errors of joints whose hand follows a pose: their posture decides what the pose leaves free."""
 _LONGEST_WAIT = 60.0
 """Largest time from the last state to the beginning of a trajectory [s]: a longer one is that of another clock."""
+_FIRST = 10.0
+"""Weight of the walk's joint velocities when those of the arms are chosen, much larger than those of the arms."""
+_FREE = 0.5
+"""Time for which an arm must not have pressed on the body until it is free again [s]: its rows come and go."""
+_PATIENCE = 2.0
+"""Time without progress after which an arm has stopped short of where it was sent [s]."""
+_NEAR = 0.005, 0.02
+"""Least progress of a hand [m] and of a joint [rad] towards where it was sent (`Approach.enough`)."""
 _MOST_POINTS = 10_000
 """Largest number of points of a trajectory."""
 
@@ -118,6 +130,30 @@ class JointPath:
         a, b = h * v[k], h * v[k + 1]
         c, d = 3.0 * way - 2.0 * a - b, a + b - 2.0 * way
         return float(q[k] + s * (a + s * (c + s * d))), float((a + s * (2.0 * c + 3.0 * s * d)) / h)
+
+
+@dataclass
+class Approach:
+    """Whether something comes closer to where it was sent.
+
+    Attributes
+    ----------
+    enough : float
+        Least progress within `_PATIENCE`, and half of the distance that counts as arrived [m, rad].
+    """
+
+    enough: float
+    least: float = math.inf
+    since: float = math.nan
+    told: bool = False
+
+    def stops(self, time: float, distance: float) -> bool:
+        """Return True once, at the first state at which it has stopped at a distance [m, rad]."""
+        if distance < self.least - self.enough:
+            self.least, self.since = distance, time
+        stopped = distance > 2.0 * self.enough and time - self.since > _PATIENCE and not self.told
+        self.told |= stopped
+        return stopped
 
 
 @jit
@@ -211,6 +247,11 @@ class Hand:
             self.numbers[9:12] = -trunk.rotation_matrix().T @ kin.point_jacobian(self.trunk, p) @ dq
         self.numbers[12:] = lever, 1.0
 
+    def distance(self, kin: Kinematics) -> float:
+        """Return the distance of the hand from its position [m]."""
+        p = DQ(kin.pose(self.trunk)).conj().transform_point(kin.point(self.link))
+        return float(np.linalg.norm(p - self.numbers[:3]))
+
 
 class Arms:
     """What the arms of a robot do beside a walk.
@@ -260,8 +301,17 @@ class Arms:
         self.hands = {side: self._hand(side, link) for side, link in named.items() if link}
         self._paths: dict[int, tuple[JointPath, float]] = {}  # path and its beginning [s], by the place in `names`
         self._asked: list[tuple[int, JointPath, float | None]] = []  # since the last state
+        self._apart = {
+            pair.name
+            for pair in capsules_in(config, model)
+            if any(self._moved_with(capsule.frame) for capsule in (pair.one, pair.other))
+        }
+        self._tasks = ("arms", *(f"{side}_hand" for side in self.hands))
         self._base: Foot | None = None
         self._time = math.nan  # of the last state [s]
+        self._pressed, self._rows = math.nan, ""  # when and by which rows an arm was last kept from the body [s]
+        self._approaches: dict[str, Approach] = {}  # of hands and joints with a command
+        self._news: list[str] = []
         size = len(self._joints)
         self._numbers = {foot: np.zeros(size * (model.n + 5)) for foot in Foot}
         for foot in Foot:
@@ -271,13 +321,18 @@ class Arms:
         model = self._model
         if link not in model.frames:
             raise ConfigError(f"arms.{side}_hand is '{link}', and the robot has no such link")
-        chain = model.chain(model.frames[link].body)
-        moved = [body for body in chain if model.bodies[body].joint in self._joints]
+        moved = self._moved_with(link)
         if not moved:
             raise ConfigError(f"arms.{side}_hand is '{link}', which no joint of arms.joints moves")
         trunk = model.links[model.bodies[moved[0]].parent]
         joints = np.isin(self._joints, [model.bodies[body].joint for body in moved])
         return Hand(link, trunk, np.flatnonzero(joints))
+
+    def _moved_with(self, link: str) -> list[int]:
+        """Return the bodies between root and link whose joints are those of an arm."""
+        model = self._model
+        chain = model.chain(model.frames[link].body)
+        return [body for body in chain if model.bodies[body].joint in self._joints]
 
     # ------------------------------------------------------------------ tasks
 
@@ -320,6 +375,7 @@ class Arms:
             if path.times[0] > 0.0:
                 path = _from_here(path, float(kin.q[self._joints[place]]))
             self._paths[place] = path, time if begin is None else begin
+            self._approaches[self.names[place]] = Approach(_NEAR[1])
         self._asked = []
         q, dq, swing, factor = self._posture.copy(), np.zeros(len(self._joints)), self._swing, np.ones(len(self.names))
         for place, (path, begin) in list(self._paths.items()):
@@ -327,10 +383,12 @@ class Arms:
                 del self._paths[place]
             else:
                 q[place], dq[place] = path.at(time - begin)
+                if time > begin + path.times[-1]:
+                    self._note(self.names[place], abs(float(kin.q[self._joints[place]] - q[place])), "rad")
         if self._paths:
             swing = swing.copy()
             swing[list(self._paths)] = 0.0
-        for hand in self.hands.values():
+        for side, hand in self.hands.items():
             if hand.pose is not None:
                 hand.since = time if math.isnan(hand.since) else hand.since
                 if self._is_over(hand.since, time):
@@ -338,10 +396,77 @@ class Arms:
                 else:
                     factor[hand.joints] = _LOOSE
             hand.set(kin, state.dq, self._config.lever)
+            if hand.pose is not None:
+                self._note(f"the {side} hand", hand.distance(kin), "m")
         self._set(phase.base, q, dq, factor, swing)
+
+    def _note(self, what: str, distance: float, unit: str) -> None:
+        """Note, once for each command, that a hand or joint has stopped before it is where it was sent."""
+        if self._approaches[what].stops(self._time, distance):
+            pressed = self._time - self._pressed < _PATIENCE
+            why = f"the body is in the way ({self._rows})" if pressed else "it is out of reach"
+            self._news.append(f"{what} stops {distance:.2g} {unit} from where it was sent: {why}")
+
+    def news(self) -> list[str]:
+        """Return what has happened to commands since the last call, in sentences."""
+        news, self._news = self._news, []
+        return news
 
     def _is_over(self, last: float, time: float) -> bool:
         return 0.0 < self._config.timeout < time - last
+
+    # ------------------------------------------------------------------ priority of the walk
+
+    def solved(self, now: Evaluation, solve: Callable[[Problem], Solution]) -> Solution:
+        """Return the solution of the quadratic program of an evaluation, in which the walk has priority.
+
+        A task of the arms has no gradient in other joints, but a row that keeps an arm from the body has: while one is
+        active, the program would turn the trunk away from an arm that presses on it. Then the walk is solved without
+        arms; next the arms, to which the other joints yield only if the rows have no other solution; and at last the
+        whole robot, with these velocities as the only task of the arms.
+
+        Parameters
+        ----------
+        now : Evaluation
+        solve : callable
+            Returns the solution of a program.
+        """
+        problem, of_arms = now.problem, self._of_arms(now.problem)
+        if not of_arms.any():
+            return solve(problem)
+        if not self._time - self._pressed < _FREE:
+            solution = solve(problem)
+            self._note_pressing(of_arms, problem, solution)
+            if self._pressed != self._time:
+                return solution
+        n, arms, weight = self._model.n, self._joints, self._config.weight
+        others = np.delete(np.arange(n), arms)
+        H, c = now.assembly.share(now, self._tasks)
+        walk_H, walk_c = problem.H - H, problem.c - c
+        walk_H[arms, arms] += weight
+        keeps = ~of_arms
+        names = (*itertools.compress(problem.names, keeps), *problem.names[len(keeps) :])
+        u = solve(problem._replace(H=walk_H, c=walk_c, W=problem.W[keeps], w=problem.w[keeps], names=names)).u
+        H[arms, arms] += now.assembly.damping**2
+        H[others, others] += _FIRST
+        c[others] -= _FIRST * u[others]
+        chosen = problem._replace(H=H, c=c)
+        solution = solve(chosen)
+        self._note_pressing(of_arms, chosen, solution)
+        c = walk_c.copy()
+        c[arms] -= weight * solution.u[arms]
+        return solve(problem._replace(H=walk_H, c=c))
+
+    def _of_arms(self, problem: Problem) -> NDArray[np.bool_]:
+        """Return which rows of a program keep a link of an arm from others, shape (l + m,)."""
+        return np.array([name in self._apart for name in problem.names[: len(problem.w)]], dtype=bool)
+
+    def _note_pressing(self, of_arms: NDArray[np.bool_], problem: Problem, solution: Solution) -> None:
+        """Note the time if one of the rows `of_arms` is active."""
+        least = 1e-6 * max(float(np.abs(problem.c).max()), 1e-300)
+        if (active := of_arms & (solution.z[: len(of_arms)] > least)).any():
+            self._pressed = self._time
+            self._rows = ", ".join(itertools.compress(problem.names, active))
 
     # ------------------------------------------------------------------ commands
 
@@ -448,6 +573,7 @@ class Arms:
         elif pose is not None and self._base is None:
             raise StateError("the walk has not begun, so it has no place on the ground")
         hand.pose, hand.fixed, hand.since = pose, not frame, math.nan
+        self._approaches[f"the {side} hand"] = Approach(_NEAR[0])
         self._release(hand.joints)
 
     def _release(self, places: Iterable[int]) -> None:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.constraints import FrameHeld, PointsOverPlane
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Plane, Y
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
+from dqwalk_ros.paper.qp.problem import Problem, Solution
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Walk
@@ -88,6 +90,10 @@ class SteppingWalk(Walk):
         if self.arms is not None:
             self.arms.update(phase, kin, state)
         return None
+
+    def solved(self, now: Evaluation, solve: Callable[[Problem], Solution]) -> Solution:
+        """Return the solution, in which the walk has priority over the arms; see `Arms.solved`."""
+        return solve(now.problem) if self.arms is None else self.arms.solved(now, solve)
 
     def _carried(self) -> Carried:
         """Return where the CoM is while both feet stand."""

@@ -218,6 +218,21 @@ def test_a_robot_that_follows_its_commands_is_accepted() -> None:
     assert not judged([State(0.02 * k, 0.02 * k * u + sagging * (k > 7)) for k in range(1000)], u)
 
 
+def test_joints_that_follow_quick_commands_late_by_the_assumed_delay_are_accepted() -> None:
+    """A hand that began to move ended a walk on servos with an ordinary delay."""
+    late, step = 3, 0.02
+    u = 4.0 * np.sign(np.sin(np.arange(200) / 7.0))[:, None] * np.ones(MODEL.n)
+    q = step * np.cumsum(u, axis=0)
+    free = dataclasses.replace(MODEL, q_min=np.full(MODEL.n, -np.inf), q_max=np.full(MODEL.n, np.inf))
+    told = {"servo.assumed_latency": late * step, "servo.assumed_rate": 0.0, "servo.types": ()}
+    for frozen, values in ((False, told), (True, told), (False, told | {"servo.assumed_latency": 0.0})):
+        judge = Contradictions(CONFIG.updated({"dt": step, "servo.assumed_damping": 0.0} | values), free, lambda: 0.1)
+        measured = np.where(frozen & (np.arange(MODEL.n) == KNEE), 0.0, q)
+        states = [State(step * k, measured[max(k - late - 1, 0)]) for k in range(len(u))]
+        found = [judge.judge(one, u[max(k - 1, 0)]) for k, one in enumerate(states)]
+        assert any(found) is (frozen or values is not told)
+
+
 def test_lost_states_and_a_holding_plant_are_no_contradiction() -> None:
     u = np.ones(MODEL.n)
     assert not judged([State(0.02 * k, 0.02 * k * u) for k in range(0, 1000, 4)], u)

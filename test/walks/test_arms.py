@@ -15,6 +15,7 @@ from dqwalk_ros.config import Config, load, with_files
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ConfigError, ModelError, StateError
@@ -25,6 +26,8 @@ QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "nod
 CONFIG = with_files(load("poppy"), [Path("arms")]).updated({"gait.steps": 0, "gait.recover": "", **QUICK})
 MODEL = load_model(CONFIG.robot)
 ELBOW = MODEL.joint_names.index("l_elbow_y")
+WALKING = with_files(load("poppy_dynamic"), [Path("arms")]).updated({"gait.steps": 0, "plant.imu": False})
+ZERO = np.zeros(MODEL.n)
 IN_FRONT = DQ.from_pose([0.15, 0.1, -0.05])
 
 
@@ -197,6 +200,67 @@ def test_a_hand_that_is_sent_into_the_pelvis_stays_outside() -> None:
         least[bool(pairs)] = min(phase.distances(q)[pair] for q in seen[::10])
     assert least[False] < -0.01
     assert least[True] > -1e-4
+
+
+def test_a_walk_is_not_moved_by_a_hand_that_presses_on_the_body() -> None:
+    """The robot walks past a place on the ground which the hand is to keep to, in the middle of its body."""
+    from dqwalk_ros.plants.mujoco import own_contacts
+
+    trunk = [MODEL.joint_names.index(name) for name in ("abs_x", "abs_y", "abs_z", "bust_x", "bust_y")]
+    seen: list[list[Any]] = []
+    told: list[str] = []
+    for places in ([], [[0.1, 0.0, 0.42]]):
+        robot, angles = Robot(WALKING), []
+        robot.run(0.1)
+        robot.controller.steer(0.1, 0.0, 0.0)
+        for place in places:
+            robot.arms.reach("left", DQ.from_pose(place))
+
+        def note() -> None:
+            angles.append(robot.q)  # noqa: B023
+            told.extend(robot.arms.news())  # noqa: B023
+
+        robot.run(4.0, note)
+        seen.append(angles)
+    assert np.abs(np.array(seen[1]) - np.array(seen[0]))[:, trunk].max() < 0.1
+    assert not own_contacts(MODEL, np.array(seen[1]))
+    assert len(told) == 1
+    assert "the left hand stops" in told[0]
+    assert "the body is in the way (apart_l_" in told[0]
+
+
+def test_what_an_arm_cannot_reach_is_said_once() -> None:
+    robot = Robot()
+    robot.run(0.1)
+    told: list[str] = []
+    robot.arms.reach("left", DQ.from_pose([0.6, 0.1, 0.0]), "chest")
+    robot.run(6.0, lambda: told.extend(robot.arms.news()))
+    assert len(told) == 1
+    assert told[0].startswith("the left hand stops")
+    assert told[0].endswith("it is out of reach")
+    robot.arms.reach("left", IN_FRONT, "chest")
+    robot.run(2.5, lambda: told.extend(robot.arms.news()))
+    assert len(told) == 1
+    robot.arms.follow(["l_shoulder_y", "l_shoulder_x", "l_arm_z", "l_elbow_y"], [0.5], [[0.0, -0.3, 0.0, 0.0]])
+    robot.run(4.5, lambda: told.extend(robot.arms.news()))
+    assert any(each.startswith("l_shoulder_") and "(apart_l_" in each for each in told)
+    assert len(told) == len({*told}) <= 1 + 4
+
+
+def test_poppys_links_touch_in_no_posture_that_the_rows_of_its_arms_allow() -> None:
+    from dqwalk_ros.plants.mujoco import own_contacts
+
+    rng, joints = np.random.default_rng(1), [MODEL.joint_names.index(name) for name in Arms(CONFIG, MODEL, ZERO).names]
+    standing, margin = MODEL.posture(CONFIG.standing.posture), CONFIG.joints.margin
+    phase = make_walk(CONFIG, MODEL).phase(PhaseKind.STANCE, Foot.LEFT, standing)
+    postures: dict[bool, list[Any]] = {True: [standing], False: [standing]}
+    for _ in range(4000):
+        q = standing.copy()
+        q[joints] = rng.uniform(MODEL.q_min[joints] + margin, MODEL.q_max[joints] - margin)
+        allowed = all(d >= 0.0 for name, d in phase.distances(q).items() if name.startswith("apart_"))
+        postures[allowed].append(q)
+    assert not own_contacts(MODEL, np.array(postures[True]))
+    assert len(own_contacts(MODEL, np.array(postures[False]))) > 12
 
 
 def test_the_newest_command_of_an_arm_counts_until_its_timeout() -> None:
