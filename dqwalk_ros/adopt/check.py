@@ -30,6 +30,8 @@ _BELOW = 0.012
 """Largest distance of a foot below its sole [m]."""
 _LEVEL = math.radians(2.0)
 """Largest angle between two parallel soles [rad]."""
+_SMALLEST = 0.01
+"""Least side of a sole [m]."""
 _UPRIGHT = math.radians(20.0)
 """Largest angle of the pelvis' z axis to the vertical in the posture [rad]."""
 _REACHED = 0.9
@@ -41,12 +43,17 @@ _TORQUE = 1.3
 def check(config: Config, model: RobotModel) -> list[Finding]:
     """Return the parameters that do not fit the robot; an empty list if all fit.
 
-    Posture and soles are checked; for a standing walk without such problems, also CoM, servos and torques.
+    Posture and soles are checked; without such problems, for the standing and the dynamic walk also torques, and for
+    the standing walk CoM, servos and steps.
     """
     q = model.posture(config.standing.posture)
     found = [*_posture(config, model, q), *_soles(config, model, q)]
-    if config.gait.style == "standing" and not found:
-        found += [*_com(config, model, q), *servo_findings(config, model), *_torque(config, model, q)]
+    if found or config.gait.style == "paper":
+        return found
+    if config.gait.style == "standing":
+        found += [*_com(config, model, q), *servo_findings(config, model)]
+    found += _torque(config, model, q)
+    if config.gait.style == "standing":
         found += _step(config, model, q)
     return found
 
@@ -101,6 +108,9 @@ def _soles(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     if abs(turn) > math.radians(15.0):
         text = f"the forward directions of the soles differ by {math.degrees(abs(turn)):.0f} degrees"
         yield Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy")
+    if (least := min(left.length, left.width, right.length, right.width)) < _SMALLEST:
+        text = f"a sole has a side of {1e3 * least:.0f} mm; a walk needs flat feet"
+        yield Finding(text, "robot.sole_length, robot.sole_width")
     lean = math.acos(min(1.0, max(-1.0, float(kin.direction(model.pelvis, Z)[2]))))
     if lean > _UPRIGHT:
         yield Finding(
@@ -121,19 +131,21 @@ def _lowest(config: Config, model: RobotModel) -> Iterator[Finding]:
         to_sole = DQ(frame.pose).conj()
         links = [name for name, other in model.frames.items() if other.body == frame.body]
         hulls, _ = shapes.hulls(links)
-        found = [
-            (to_sole * DQ(model.frames[name].pose)).transform_point(corners)[:, 2].min()
-            for name, corners in hulls.items()
-        ]
+        found = [(to_sole * DQ(model.frames[name].pose)).transform_point(corners) for name, corners in hulls.items()]
         unread = next((f"'{mesh}' {why}" for mesh, why in shapes.missing.items()), "")
         if not found and unread:
             text = f"no shape of the {foot.value} foot can be read, so its sole is not checked: {unread}"
             yield Finding(text, "robot.urdf")
-        if found and min(found) < -_BELOW:
-            yield Finding(
-                f"the {foot.value} foot reaches {-1e3 * float(min(found)):.0f} mm below its sole",
-                f"robot.{foot.value}_sole, robot.{foot.value}_sole_xyz",
-            )
+        if not found:
+            continue
+        corners, where = np.concatenate(found), f"robot.{foot.value}_sole, robot.{foot.value}_sole_xyz"
+        (*low, lowest), (*high, _) = corners.min(axis=0), corners.max(axis=0)
+        beside = np.maximum(np.maximum(low - sole.center[:2], sole.center[:2] - high), 0.0).max()
+        if lowest < -_BELOW:
+            yield Finding(f"the {foot.value} foot reaches {-1e3 * float(lowest):.0f} mm below its sole", where)
+        if beside > 0.0:
+            text = f"the centre of the {foot.value} sole is {1e3 * float(beside):.0f} mm beside the shapes of its foot"
+            yield Finding(text, where)
 
 
 def _com(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:

@@ -56,8 +56,9 @@ def doctor(
 
     made = config_of(config, changes, plant=plant, params=params)
     model = load_model(made.robot)
-    require_usable(made, model)
     findings = check(made, model)
+    if not findings:
+        require_usable(made, model)
     print(f"{model.name}: {model.n} joints, configuration '{config}', plant {plant}")
     for finding in findings:
         print(f"! {'configuration':22s} {finding}")

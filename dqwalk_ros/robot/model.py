@@ -192,6 +192,18 @@ class RobotModel:
             chain.append(body)
         return chain[::-1]
 
+    def joints_to_soles(self, link: str) -> tuple[int, int]:
+        """Return the number of moving joints of the legs between a link and the left and the right sole.
+
+        Joints of a waist or an arm are not counted; for a link of the body that carries both legs they are equal, also
+        where a foot is the root.
+        """
+        left, right = (self.chain(self.frames[self.soles[foot].frame].body) for foot in (Foot.LEFT, Foot.RIGHT))
+        above = set(self.chain(self.frames[link].body))
+        legs = {*left} - {*right}, {*right} - {*left}
+        within = [len(leg & above) for leg in legs]
+        return len(legs[0]) - within[0] + within[1], len(legs[1]) - within[1] + within[0]
+
     def matching(self, pattern: str, key: str) -> list[int]:
         """Return the indices of the joints whose names match `pattern`, in which '*' matches any text.
 

@@ -78,6 +78,13 @@ def make_controller(config: Config, model: RobotModel) -> VelocityController:
     Raises
     ------
     ConfigError
-        As `walk_type`, and if ``gait.recover`` is not the configuration of a dynamic walk.
+        As `walk_type`, and if ``robot.pelvis`` is a link of a leg, or ``gait.recover`` is not the configuration of a
+        dynamic walk.
     """
+    left, right = model.joints_to_soles(model.pelvis)
+    if abs(left - right) > (left + right) % 2:
+        raise ConfigError(
+            f"robot.pelvis is '{model.pelvis}', which is part of a leg: {left} joints move it against the left sole, "
+            f"{right} against the right one; name the link that carries both legs, and a sole at the end of each"
+        )
     return VelocityController(config, model, walk_type(config))

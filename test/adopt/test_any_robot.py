@@ -212,6 +212,8 @@ def test_another_root_is_the_same_robot() -> None:
         urdf.reroot(root)
         model = small_model(urdf)
         assert model.root == root
+        assert len({*model.joints_to_soles(model.pelvis)}) == 1
+        assert len({*model.joints_to_soles("l_shank")}) == 2
         angles = dict(zip(sorted(model.joint_names), q, strict=False))
         kins.append(Kinematics(model, np.array([angles[name] for name in model.joint_names]), Foot.LEFT))
     for kin in kins[1:]:

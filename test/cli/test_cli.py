@@ -230,9 +230,32 @@ def test_an_invalid_configuration_gives_one_line_and_exit_code_2(arguments, expe
 
 
 def test_a_walk_without_a_first_command_cannot_be_used(capsys):
-    assert cli.main(["config", "paper", "--check", "--set", "robot.pelvis=l_sole"]) == 1
+    assert cli.main(["config", "paper", "--check", "--set", "pelvis.height=2.0"]) == 1
     output = capsys.readouterr()
     assert "pelvis is short by" in output.err
+    assert "can be used" not in output.out
+
+
+@pytest.mark.parametrize(
+    ("config", "change", "code", "expected"),
+    [
+        ("paper", "robot.pelvis=l_sole", 2, "robot.pelvis is 'l_sole', which is part of a leg: 0 joints move it"),
+        ("poppy_dynamic", "robot.pelvis=l_hip", 2, "4 joints move it against the left sole, 6 against the right one"),
+        ("poppy_dynamic", "robot.left_sole_rpy=[3.14159,0,0]", 1, "the pelvis is below the soles: they are upside"),
+        (
+            "poppy_dynamic",
+            "robot.left_sole_xyz=[0,0.3,0]",
+            1,
+            "the centre of the left sole is 275 mm beside the shapes",
+        ),
+        ("poppy_dynamic", "robot.sole_length=0.001", 1, "a sole has a side of 1 mm"),
+        ("poppy_dynamic", 'robot.payload=["l_hand=30"]', 1, "'bust_x' needs about 11.5 N m to stand on one foot"),
+    ],
+)
+def test_a_configuration_that_contradicts_its_robot_cannot_be_used(config, change, code, expected, capsys):
+    assert cli.main(["config", config, "--check", "--set", change]) == code
+    output = capsys.readouterr()
+    assert expected in output.err + output.out
     assert "can be used" not in output.out
 
 
