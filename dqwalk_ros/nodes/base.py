@@ -86,6 +86,8 @@ class WalkNode(Node):
         except Exception as error:  # rclpy raises its own, undocumented types
             raise ConfigError(wheels.first_line(error)) from error
         self.config: Config = parameters.declare(self, options.argv)
+        if self.claims and all(name.split(".")[0] in OF_RCLPY for name in self._parameter_overrides):
+            self.get_logger().warning("no parameters given, using the defaults: is --ros-args --params-file missing?")
         self.add_on_set_parameters_callback(self._on_parameters)
         self._made = time.monotonic()
         self.done = Future()

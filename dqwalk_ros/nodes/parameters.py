@@ -46,8 +46,6 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
     files = [pathlib.Path(value) for key, value in itertools.pairwise(argv) if key == "--params-file"]
     for path in files:
         _check_sections(path, node)
-    if not given:
-        log.warning("no parameters given, using the defaults: is --ros-args --params-file missing?")
     foreign = [name for name in given if is_foreign(name)]
     if foreign:
         log.info(f"ignoring parameters of other packages: {', '.join(foreign)}")

@@ -163,10 +163,12 @@ def test_parameters_of_other_packages_are_ignored(make: Any) -> None:
 
 
 def test_a_file_for_other_nodes_only_is_accepted_with_a_warning(make: Any) -> None:
-    one = make("phase_monitor", "/**/controller:\n  ros__parameters: {dt: 0.01}\n")
+    text = "/**/controller:\n  ros__parameters: {dt: 0.01}\n"
+    one = make("phase_monitor", text)
     assert one.node.config.dt == load("paper").dt
     assert "no section applies to /phase_monitor" in one.log
     assert "--params-file missing" in one.log  # without it the controller uses a robot of 25 joints
+    assert "--params-file missing" not in make("viewer", text).log  # as the pilot, it has no robot
 
 
 @pytest.mark.parametrize(
