@@ -11,7 +11,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.report.figures.style import BLUE, GREEN, INK, RED, drawing, new_figure
+from dqwalk_ros.report.figures.style import FOOT, INK, RED, drawing, new_figure
 from dqwalk_ros.robot.model import RobotModel, find_urdf
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
@@ -56,9 +56,8 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path, *, overwrite: bo
                 ax.plot(bone[:, right], bone[:, up], color=INK, linewidth=1.0, marker="o", markersize=2.0)
             for foot, corners in soles.items():
                 ring = corners[[0, 1, 2, 3, 0]]
-                color = BLUE if foot is Foot.LEFT else RED
-                ax.plot(ring[:, right], ring[:, up], color=color, label=f"{foot.value} sole")
-            ax.plot(kin.com[right], kin.com[up], "o", color=GREEN, markersize=6, label="CoM")
+                ax.plot(ring[:, right], ring[:, up], color=FOOT[foot], label=f"{foot.value} sole")
+            ax.plot(kin.com[right], kin.com[up], "o", color=RED, markersize=6, label="CoM")
             _arrow(ax, kin, right, up)
             ax.set_aspect("equal")
             ax.autoscale_view()

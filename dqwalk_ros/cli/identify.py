@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import Real, bag_argument, command, force_option, quiet_option
+from dqwalk_ros.cli.options import Real, bag_argument, beside, command, force_option, quiet_option
 from dqwalk_ros.support.output import refuse_existing, refuse_inside, write_text
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def identify(bag: Path, mass: float | None, out: Path | None, force: bool, quiet
     from dqwalk_ros.report.bag import read, read_orientations
     from dqwalk_ros.robot.model import parse_model
 
-    out = out or bag.resolve().parent / "identified.yaml"
+    out = out or beside(bag, "identified.yaml")
     refuse_inside(bag, out)
     if not force:
         refuse_existing([out])

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
 __all__ = [
-    "Many", "Numbers", "Output", "Real", "Report", "bag_argument", "command", "config_of", "config_option",
+    "Many", "Numbers", "Output", "Real", "Report", "bag_argument", "beside", "command", "config_of", "config_option",
     "folder_option", "force_option", "format_option", "jobs_option", "many_options", "namespace_option",
     "output_options",
     "params_option", "parse_overrides", "plant_option", "port_option", "quiet_option", "set_option", "walk_option",
@@ -165,6 +165,12 @@ format_option = click.option(
     default="png",
     help="Formats of the figures: png, pdf, svg, separated by commas.",
 )
+
+
+def beside(bag: Path, name: str) -> Path:
+    """Return the path of a file or folder beside a bag; relative to this folder if it is below it."""
+    place, here = bag.resolve().parent / name, Path.cwd()
+    return place.relative_to(here) if place.is_relative_to(here) else place
 
 
 def walk_options(plants: Sequence[str]) -> Option:

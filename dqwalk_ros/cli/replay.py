@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from dqwalk_ros.cli.options import bag_argument, command, params_option, quiet_option
+from dqwalk_ros.cli.options import bag_argument, beside, command, params_option, quiet_option
 
 __all__ = ["replay"]
 
@@ -36,8 +36,8 @@ def replay(bag: Path, params: tuple[Path, ...], quiet: bool) -> int:
     from dqwalk_ros.support.text_table import aligned
 
     trace = read(bag)
-    beside = bag.resolve().parent / "identified.yaml"
-    files = params or ((beside,) if beside.is_file() else ())
+    identified = beside(bag, "identified.yaml")
+    files = params or ((identified,) if identified.is_file() else ())
     config = with_files(trace.config, files)
     with Progress(quiet=quiet) as bar:
         q = run(trace, config, bar)

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import Report, bag_argument, command, namespace_option, output_options, walk_option
+from dqwalk_ros.cli.options import (
+    Report,
+    bag_argument,
+    beside,
+    command,
+    namespace_option,
+    output_options,
+    walk_option,
+)
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.output import refuse_existing, refuse_inside, written
 
@@ -73,8 +81,7 @@ def report(
     with Progress(quiet=quiet) as bar:
         bar.stage(0.0, "reading")
         content = bags.content_of(bag)
-    place = bag.resolve()
-    output = replace(output, out=output.out or place.parent / f"{place.name}_report")
+    output = replace(output, out=output.out or beside(bag, f"{bag.resolve().name}_report"))
     refuse_inside(bag, output.folder)
     sheet = output.folder / ("comparison.html" if compare else "report.html")
     if (html or compare) and not output.force:  # a page contains the time of its writing

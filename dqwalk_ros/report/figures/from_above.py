@@ -17,8 +17,8 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.report.figures.style import (
-    BLUE,
     DASHED,
+    FOOT,
     GREEN,
     GREY,
     INK,
@@ -38,7 +38,6 @@ from dqwalk_ros.support.arrays import Array
 
 __all__ = ["on_the_ground", "top_view"]
 
-_COLOR = {Foot.LEFT: BLUE, Foot.RIGHT: GREEN}
 _ORANGE, _HULL, _HULL_EDGE = "#b35900", "#eef1f4", "#c9d1d9"
 _LONG = 0.45
 """Length of a walk [m] above which it is drawn above its margins instead of beside them."""
@@ -63,7 +62,7 @@ def _draw_rings(ax: Axes, centers: Sequence[Array], radius: float, zorder: int) 
 
 
 def _soles_legend() -> list[Any]:
-    return [Patch(facecolor=_COLOR[f] + "26", edgecolor=_COLOR[f], label=f"{f.value} sole") for f in Foot]
+    return [Patch(facecolor=FOOT[f] + "26", edgecolor=FOOT[f], label=f"{f.value} sole") for f in Foot]
 
 
 def _legend(fig: Figure, handles: list[Any]) -> None:
@@ -135,11 +134,11 @@ def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -
         swing = span.phase.base.other
         x, y, _ = DQ(places[swing][span.end - 1]).transform_point(soles[swing].center)
         beside = (0.0, 10.0 if swing is Foot.LEFT else -10.0)  # [points], outwards, where the CoM does not go
-        ax.annotate(str(index + 1), (x, y), beside, textcoords="offset points", color=_COLOR[swing], **text)
+        ax.annotate(str(index + 1), (x, y), beside, textcoords="offset points", color=FOOT[swing], **text)
     for span in singles[-1:]:  # the last landing
         swing = span.phase.base.other
         landed = _corners(places[swing][span.end - 1], soles[swing])
-        _draw_polygons(ax, [landed], _COLOR[swing], _COLOR[swing] + "12", linewidth=1.4, zorder=3)
+        _draw_polygons(ax, [landed], FOOT[swing], FOOT[swing] + "12", linewidth=1.4, zorder=3)
     com = series.com_odom[np.isfinite(series.com_odom).all(axis=1)]
     ax.plot(com[:, 0], com[:, 1], color=INK, linewidth=2.0, zorder=6, path_effects=halo)
     for tick, fill in ((0, "white"), (-1, INK)):
@@ -154,7 +153,7 @@ def _draw_steps(ax: Axes, series: Series, spans: Sequence[Span], base: Foot, own
     soles, swing = series.trace.model.soles, base.other
     stances = [series.soles[base][span.start] for span in spans]
     stands = [_corners(stance, soles[base]) for stance in stances]
-    _draw_polygons(ax, stands, _COLOR[base], _COLOR[base] + "26", linewidth=1.4, zorder=3)
+    _draw_polygons(ax, stands, FOOT[base], FOOT[base] + "26", linewidth=1.4, zorder=3)
     if own is not None:
         of_urdf = [_corners(stance, own[base]) for stance in stances]
         _draw_polygons(ax, of_urdf, _ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
@@ -162,7 +161,7 @@ def _draw_steps(ax: Axes, series: Series, spans: Sequence[Span], base: Foot, own
         centers = [DQ(stance).transform_point(soles[base].center) for stance in stances]
         _draw_rings(ax, centers, series.trace.config.ssp.com_radius, zorder=4)
     way = DQ(joined(series.soles[swing], [span.ticks for span in spans])).transform_point(soles[swing].center)
-    ax.plot(way[:, 0], way[:, 1], color=_COLOR[swing], linewidth=1.3, linestyle=":", zorder=5)
+    ax.plot(way[:, 0], way[:, 1], color=FOOT[swing], linewidth=1.3, linestyle=":", zorder=5)
 
 
 def _draw_margins(ax: Axes, series: Series) -> None:
@@ -232,7 +231,7 @@ def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
     for foot in Foot:
         landed = [span.start for index, span in doubles if index == 0 or span.phase.base is foot.other]
         stands = [_corners(of.soles[foot][tick], soles[foot]) for tick in landed]
-        _draw_polygons(ax, stands, _COLOR[foot], _COLOR[foot] + "1c", linewidth=1.0, zorder=2)
+        _draw_polygons(ax, stands, FOOT[foot], FOOT[foot] + "1c", linewidth=1.0, zorder=2)
     if of.circle is not None:
         _draw_rings(ax, [of.circle.center], of.circle.radius, zorder=3)
     ax.plot(of.physics.cop[:, 0], of.physics.cop[:, 1], color=_ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
@@ -265,8 +264,8 @@ def _draw_loads(ax: Axes, series: Series, of: Ground) -> None:
     """Draw the fraction of the weight on each foot as a bar over time, and the estimate as a line."""
     true = np.stack([of.physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
     part = true[:, 0] / np.maximum(true.sum(axis=1), 1e-3)
-    ax.fill_between(series.time, 0.0, part, color=_COLOR[Foot.LEFT], alpha=0.35, linewidth=0.0)
-    ax.fill_between(series.time, part, 1.0, color=_COLOR[Foot.RIGHT], alpha=0.35, linewidth=0.0)
+    ax.fill_between(series.time, 0.0, part, color=FOOT[Foot.LEFT], alpha=0.35, linewidth=0.0)
+    ax.fill_between(series.time, part, 1.0, color=FOOT[Foot.RIGHT], alpha=0.35, linewidth=0.0)
     title = "D   Part of the weight on each foot"
     if (loads := series.trace.loads) is not None:
         ax.plot(series.time, loads[:, 0] / np.maximum(loads.sum(axis=1), 1e-3), color=INK, linewidth=0.8)

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
+from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.output import written
@@ -20,6 +21,7 @@ from dqwalk_ros.support.output import written
 __all__ = [
     "BLUE",
     "DASHED",
+    "FOOT",
     "GREEN",
     "GREY",
     "INK",
@@ -35,6 +37,7 @@ __all__ = [
 
 
 BLUE, GREEN, RED, INK, GREY = "#1f5fb4", "#1d9a4e", "#d1242f", "#24292f", "#8c959f"
+FOOT = {Foot.LEFT: BLUE, Foot.RIGHT: GREEN}
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
