@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
 from dqwalk_ros.config import to_yaml
-from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.walk import com_target
-from dqwalk_ros.report.bag import messages
+from dqwalk_ros.report.bag import messages, phases
 from dqwalk_ros.report.bag.messages import (
     NS,
     Messages,
@@ -34,13 +31,14 @@ from dqwalk_ros.report.bag.messages import (
     text,
     texts,
 )
+from dqwalk_ros.report.bag.phases import FARTHEST
 from dqwalk_ros.report.bag.recording import Recording, open_recording, preamble
-from dqwalk_ros.report.bag.storage import Column, Source, write_columns
+from dqwalk_ros.report.bag.storage import Source, write_columns
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import BagError, listed, shown
+from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
 from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace, known_loads
 
@@ -48,12 +46,8 @@ __all__ = ["read", "read_orientations", "write"]
 
 _CLOCK = 10**18
 """Stamps above this [ns], a time in 2001, are those of a clock; smaller ones are simulated time."""
-_FARTHEST = 100.0
-"""Angles above this [rad] are errors of a sensor or of the file; positions above this [m] likewise."""
 _UNIT = 0.01
 """Largest difference of the norm of a recorded orientation from one."""
-_SAME_POSE = 5e-3
-"""Largest difference of a pose from the origin that is attributed to the estimation of the base."""
 
 
 # ---------------------------------------------------------------------- writing
@@ -203,10 +197,10 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
     """
     bag = open_recording(source, namespace, TOPICS, REQUIRED, walk)
     path, model, notes, stamps = bag.path, bag.model, bag.notes, bag.stamps
-    starts = _starts(bag)
+    begun = phases.starts(bag)
     q = bag.states.position[bag.rows]
-    walking = stamps >= min(starts)
-    whole = ~(~(np.abs(q) < _FARTHEST)).any(axis=1)  # false for nan
+    walking = stamps >= min(begun)
+    whole = ~(~(np.abs(q) < FARTHEST)).any(axis=1)  # false for nan
     if early := int(np.count_nonzero(~walking)):
         notes.append(f"{early} states before the first phase are left out")
     if not walking.any():
@@ -227,15 +221,19 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
         stamps, q, u, unanswered = stamps[:end], q[:end], u[:end], unanswered[unanswered < end]
     if len(unanswered):
         notes.append(f"{len(unanswered)} of {len(stamps)} states have no command")
+    judged = phases.judged(begun, stamps)
+    if not judged.any():
+        raise BagError(f"'{path}': the swing targets of all phases are missing")
+    stamps, q, u = stamps[judged], q[judged], u[judged]
     epoch = int(stamps[0]) if stamps[0] > _CLOCK else 0
-    whole_walk = max(starts) <= int(stamps[-1])  # else the states of its last phases are missing
+    whole_walk = max(begun) <= int(stamps[-1])  # else the states of its last phases are missing
     return Trace(
         config=bag.config,
         model=model,
         time=(stamps - epoch) / NS,
         q=q,
         u=u,
-        phases=_records(bag, starts, stamps, epoch),
+        phases=phases.records(bag, begun, stamps, epoch),
         solve_time=np.full(len(stamps), np.nan),
         finished=last_phase == FINISHED and whole_walk,
         notes=tuple(notes),
@@ -256,109 +254,6 @@ def read_orientations(path: str | os.PathLike[str]) -> Array:
     seen = np.concatenate([np.zeros((0, 4)), *(table.numbers[:, :4] for table in tables(columns.get("imu")))])
     out: Array = seen[np.abs(np.linalg.norm(seen, axis=1) - 1.0) < _UNIT][:, [3, 0, 1, 2]]
     return out
-
-
-# ---------------------------------------------------------------------- phases
-
-
-def _starts(bag: Recording) -> dict[int, PhaseRecord]:
-    """Return the record of every phase by its stamp [ns], in order, still without tick, pose in odom and changes.
-
-    Published names are assigned to the starts in the order of both.
-    """
-    path, model, columns = bag.path, bag.model, bag.columns
-    names = [name for name in texts(columns["phase"]) if "/" in name]
-    begun = joint_states(columns["phase_start"], model.joint_names)
-    if not names or not len(begun.stamps):
-        raise BagError(f"'{path}' contains no phase of a walk")
-    if not set(begun.frames) <= set(model.foot_of) or not set(model.joint_names) <= set(begun.named):
-        given = f"{shown(begun.frames[0])} and {listed(begun.named)}"
-        raise BagError(f"'{path}' is of another robot: phase_start names {given}")
-    targets = _swing_targets(columns.get("swing_target"))
-    known = [_parsed(name) for name in names]
-    # a name is published again after a pause, so it does not identify its start
-    in_order = len(names) == len(begun.stamps) == len(columns["phase_start"].raws) and None not in known
-    if None in known:
-        strange = shown(names[known.index(None)])
-        bag.notes.append(f"unknown phase '{strange}': phases are identified by their base sole and swing target")
-    found: dict[int, PhaseRecord] = {}
-    for i, stamp in enumerate(begun.stamps.tolist()):
-        base, q, target = model.foot_of[begun.frames[i]], begun.position[i], targets.get(stamp)
-        kind = PhaseKind.DOUBLE_SUPPORT if target is None else PhaseKind.SINGLE_SUPPORT
-        support = base if kind is PhaseKind.SINGLE_SUPPORT else base.other
-        name = f"{kind.value}/{support.value}"
-        if in_order and (parsed := known[i]) is not None:
-            name, (kind, support) = names[i], parsed
-        time = stamp / NS
-        if base is not (support if kind is PhaseKind.SINGLE_SUPPORT else support.other):
-            raise BagError(
-                f"'{path}': {name} at {time:.3f} s cannot stand on the {base.value} foot: messages of phase, "
-                "phase_start or swing_target are missing or in another order"
-            )
-        if kind is PhaseKind.SINGLE_SUPPORT and target is None:
-            raise BagError(f"'{path}': the swing target of {name} at {time:.3f} s is missing")
-        if not (np.abs(q) < _FARTHEST).all() or not (target is None or _is_pose(target)):
-            raise BagError(f"'{path}': {name} at {time:.3f} s begins with impossible numbers")
-        found[stamp] = PhaseRecord(name, kind, support, base, 0, time, q, target, DQ(1.0).vec8())
-    return dict(sorted(found.items()))
-
-
-def _parsed(name: str) -> tuple[PhaseKind, Foot] | None:
-    kind, _, foot = name.partition("/")
-    try:
-        return PhaseKind(kind), Foot(foot)
-    except ValueError:
-        return None
-
-
-def _is_pose(x: Array) -> bool:
-    """Return whether (8,) is a unit dual quaternion with a plausible position."""
-    return bool(np.isfinite(x).all() and abs(np.linalg.norm(x[:4]) - 1.0) < 1e-6 and np.abs(x[4:]).max() < _FARTHEST)
-
-
-def _swing_targets(column: Column | None) -> dict[int, Array]:
-    """Return the targets (8,) of the swing foot by their stamp [ns]."""
-    out: dict[int, Array] = {}
-    for found in tables(column):
-        out |= dict(zip(found.stamps.tolist(), pose_of(found.numbers), strict=True))
-    return out
-
-
-def _first_base(bag: Recording, stamp: int, start: PhaseRecord) -> Array:
-    """Return the pose of the first phase's base sole in odom: the origin, unless the recording started later."""
-    (recorded,) = pose_of(aligned(bag.columns.get("base_pose"), np.array([stamp]), 7))
-    if not _is_pose(recorded):
-        return start.x_odom_base
-    x = (DQ(recorded) * DQ(Kinematics(bag.model, start.q_start, start.base).pose(bag.model.pelvis)).conj()).vec8()
-    one = start.x_odom_base
-    return one if min(np.abs(x - one).max(), np.abs(x + one).max()) < _SAME_POSE else x
-
-
-def _records(bag: Recording, starts: Mapping[int, PhaseRecord], stamps: Stamps, epoch: int) -> tuple[PhaseRecord, ...]:
-    """Return the records of the phases, with times counted from `epoch` [ns].
-
-    Where the base sole changes, its pose in odom is updated: x_odom_new = x_odom_old x_old_new(q_start). After a change
-    of parameters a record has the changed configuration.
-    """
-    model, out = bag.model, list[PhaseRecord]()
-    first = min(starts)
-    x_odom_base = _first_base(bag, first, starts[first])
-    for stamp, start in starts.items():
-        if out and out[-1].base is not start.base:
-            step = Kinematics(model, start.q_start, out[-1].base).pose(model.soles[start.base].frame)
-            x_odom_base = (DQ(x_odom_base) * DQ(step)).vec8()
-        tick, time = int(np.searchsorted(stamps, stamp)), (stamp - epoch) / NS
-        if tick == len(stamps):
-            bag.notes.append(f"{start.name} began at {time:.3f} s, after the last state, and is left out")
-            break
-        if out and out[-1].start == tick:  # ended before the recording started
-            out.pop()
-        if stamps[tick] != stamp:
-            bag.notes.append(f"the state at which {start.name} began, {time:.3f} s, is missing")
-        tuned = max((since for since in bag.tuned if since <= stamp), default=None)
-        config = None if tuned is None else bag.tuned[tuned]
-        out.append(dataclasses.replace(start, start=tick, time=time, x_odom_base=x_odom_base, config=config))
-    return tuple(out)
 
 
 # ---------------------------------------------------------------------- commands and physics
