@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from dqwalk_ros.config import overlaid
 from dqwalk_ros.estimation.load import FootLoads, share_of
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.table import make_plant
@@ -22,6 +24,10 @@ from dqwalk_ros.walks.table import make_controller
 CONFIG = overlaid(dq.load("poppy_dynamic"), "physics")
 MODEL = dq.load_model(CONFIG.robot)
 FEET = tuple(Foot)
+NOISE = {
+    "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"], "sensors.attitude_noise": 0.004,
+    "sensors.gyro_noise": 0.02, "sensors.encoder": 0.001534, "sensors.velocity_filter": 0.01,
+}  # fmt: skip
 
 
 def posture(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -130,13 +136,32 @@ def test_measured_forces_are_the_loads() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("slope", [0.0, 0.105])
 def test_a_walking_robot_knows_which_foot_bears_what(slope: float) -> None:
-    given = {
-        "gait.steps": 14, "gait.step_length": 0.04, "physics.slope_side": slope,
-        "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"], "sensors.attitude_noise": 0.004,
-        "sensors.gyro_noise": 0.02, "sensors.encoder": 0.001534, "sensors.velocity_filter": 0.01,
-    }  # fmt: skip
-    config = CONFIG.updated(given)
+    config = CONFIG.updated({"gait.steps": 14, "gait.step_length": 0.04, "physics.slope_side": slope, **NOISE})
     trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
     error = report(analyse(trace))["physics"]["load_error"]
     print(f"\nside slope of {slope} rad: the load of a foot is {error:.3f} of the weight off (median)")
     assert error < 0.1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("noise", "most"), [({}, 1), (NOISE, 5)])
+def test_a_touchdown_is_seen_in_the_loads_within_10_ms(noise: dict[str, object], most: int) -> None:
+    """It is the first state in which the foot that swung bears a fifth of the weight; `most` may be later or missed."""
+    config = CONFIG.updated({"gait.steps": 20, **noise})
+    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    physics, loads, starts = trace.physics, trace.loads, [record.time for record in trace.phases]
+    assert physics is not None
+    assert loads is not None
+    errors = list[float]()
+    for record, until in zip(trace.phases, [*starts[2:], math.inf], strict=False):
+        if record.kind is not PhaseKind.SINGLE_SUPPORT:
+            continue
+        began = record.time + 0.5 * config.standing.swing_duration
+        window, swing = (began <= trace.time) & (trace.time < until), record.support.other
+        estimated, true = loads[window, list(Foot).index(swing)], physics.wrenches[swing][window, 2]
+        seen, bore = (np.argmax(load > 0.2 * MODEL.mass * GRAVITY) for load in (estimated, true))
+        errors.append(float(trace.time[window][seen] - trace.time[window][bore]))
+    late = int((np.abs(errors) > 0.0101).sum())
+    print(f"\n{len(errors) - late} of {len(errors)} touchdowns are seen within 10 ms of the engine's")
+    assert len(errors) == 21
+    assert late <= most
