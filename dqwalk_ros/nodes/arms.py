@@ -7,7 +7,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory
 
 from dqwalk_ros.controller import VelocityController
@@ -79,6 +81,10 @@ class ArmInput:
             raise StateError("the pose has no frame_id; it must be odom, or a link of the trunk")
         else:
             self._arms.reach(side, pose, frame)
+
+    def give_up(self, joint: int) -> NDArray[np.intp]:
+        """Give up the command of an arm; see `Arms.give_up`."""
+        return self._arms.give_up(joint)
 
     def tell(self) -> None:
         """Log what has happened to commands."""

@@ -136,6 +136,8 @@ class Controller(AnsweringNode):
         self._footsteps = FootstepInput(self, self._controller, self._odometry) if steered else None
         moves_arms = isinstance(self._controller.walk, SteppingWalk) and self._controller.walk.arms is not None
         self._arms = ArmInput(self, self._controller, self._odometry, self._gate.time_of) if moves_arms else None
+        if self._arms is not None:
+            self._falls.gives_up = self._arms.give_up
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/pause", self._pause)
         self.create_service(Trigger, "~/stop", self._stop)

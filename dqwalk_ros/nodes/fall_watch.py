@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
@@ -45,6 +46,8 @@ class Contradictions:
     ----------
     largest : float
         Largest of all sums since the beginning, of joints and vertical [rad].
+    joint : int
+        Index of the joint that was described last; -1 for none.
     """
 
     memory = 10.0, 4.0, 1.0
@@ -53,8 +56,12 @@ class Contradictions:
     def __init__(self, config: Config, model: RobotModel, timeout: Callable[[], float]) -> None:
         self._model, self._limit, self._period, self._timeout = model, config.safety.contradiction, config.dt, timeout
         self._config, self._delay = config, Drive.of(config, model).delay
-        self.largest = 0.0
+        self.largest, self.joint = 0.0, -1
         self.forget()
+
+    def forgive(self, joints: NDArray[np.intp]) -> None:
+        """Clear the sums of some joints."""
+        self._off[:, joints] = 0.0
 
     def forget(self) -> None:
         """Clear the sums; the next state is compared with nothing."""
@@ -73,6 +80,7 @@ class Contradictions:
         leaning : bool
             Whether the base sole seems to be tilted, which a wrong angle causes; the limit is then halved.
         """
+        self.joint = -1
         before, self._before = self._before, state
         passed = state.time - before.time if before is not None else 0.0
         if before is None or not 0.0 < passed <= self._timeout():  # after a gap it may have moved
@@ -88,7 +96,7 @@ class Contradictions:
         worst = np.abs(self._off).max(axis=0)
         self.largest = max(self.largest, float(worst.max()))
         if worst.max() > (0.5 * self._limit if leaning else self._limit):
-            k = int(worst.argmax())
+            k = self.joint = int(worst.argmax())
             return (
                 f"{self._model.joint_names[k]} does not follow its commands, it is {worst[k]:.2f} rad off: it is "
                 "blocked or without power, or its angle is frozen or has slipped"
@@ -138,6 +146,9 @@ class FallWatch:
     suspected : str
         What contradicts the commands; until it is confirmed the robot must stand still. Empty if nothing does.
     contradictions : Contradictions
+    gives_up : callable
+        Gets the index of a joint that does not follow, -1 for none, and returns the indices of those that are commanded
+        to hold still instead of moving; empty if the walk must end.
     """
 
     ready_delay = 0.3
@@ -152,6 +163,7 @@ class FallWatch:
         zero = Kinematics(model, np.zeros(model.n), Foot.LEFT)  # in which the sensor's `_upright` points up
         self._upright = np.array([zero.direction(model.imu, axis)[2] for axis in np.eye(3)])
         self.lying = ""
+        self.gives_up: Callable[[int], NDArray[np.intp]] = lambda joint: np.zeros(0, np.intp)
         self.forget()
 
     def forget(self) -> None:
@@ -193,6 +205,9 @@ class FallWatch:
             leaning = lean > 0.5 * self._limits.sole_tilt
             self.suspected = self.contradictions.judge(state, commanded, leaning=leaning)
             self._since = state.time
+            if self.suspected and (given_up := self.gives_up(self.contradictions.joint)).size:
+                self.suspected = ""
+                self.contradictions.forgive(given_up)
         # a plant that does not receive the commands holds, and reports this a little later
         waits = 0.0 if self._lockstep else self._timeout() + self.ready_delay
         return self.suspected if state.time - self._since >= waits else ""

@@ -308,7 +308,8 @@ class Arms:
         }
         self._tasks = ("arms", *(f"{side}_hand" for side in self.hands))
         self._base: Foot | None = None
-        self._time = math.nan  # of the last state [s]
+        self._time, self._q = math.nan, self._posture  # of the last state [s, rad]
+        self._given_up = set[int]()  # joints that hold still, by the place in `names`
         self._pressed, self._rows = math.nan, ""  # when and by which rows an arm was last kept from the body [s]
         self._approaches: dict[str, Approach] = {}  # of hands and joints with a command
         self._news: list[str] = []
@@ -370,7 +371,7 @@ class Arms:
                 for hand in self.hands.values():
                     hand.pose = moved * hand.pose if hand.fixed and hand.pose is not None else hand.pose
             self._base = phase.base
-        self._time = time
+        self._time, self._q = time, kin.q[self._joints]
         for place, path, begin in self._asked:
             if path.times[0] > 0.0:
                 path = _from_here(path, float(kin.q[self._joints[place]]))
@@ -411,6 +412,29 @@ class Arms:
         """Return what has happened to commands since the last call, in sentences."""
         news, self._news = self._news, []
         return news
+
+    def give_up(self, joint: int) -> NDArray[np.intp]:
+        """Let the arm of a joint that does not follow hold still where it is, until its next command.
+
+        Returns
+        -------
+        ndarray of int
+            The joints that hold still; none if this is no joint of an arm, or the arm holds still already.
+        """
+        place = np.flatnonzero(self._joints == joint)
+        arm = next((hand.joints for hand in self.hands.values() if np.isin(place, hand.joints).any()), place)
+        if not arm.size or self._given_up & {*place.tolist()}:
+            return np.zeros(0, np.intp)
+        self._end_poses(arm)
+        self._release(arm)
+        self._given_up |= {*arm.tolist()}
+        for one in arm.tolist():
+            self._paths[one] = JointPath(np.zeros(1), self._q[[one]]), self._time
+            self._approaches[self.names[one]] = Approach(_NEAR[1])
+        self._news.append(
+            f"{self.names[place[0]]} does not follow: its arm holds still where it is; something blocks it"
+        )
+        return self._joints[arm]
 
     def _is_over(self, last: float, time: float) -> bool:
         return 0.0 < self._config.timeout < time - last
@@ -523,9 +547,7 @@ class Arms:
             if len(t):
                 path = JointPath(t, q[:, column].copy(), None if v is None else v[:, column].copy())
                 self._asked.append((place, path, begin))
-        for hand in self.hands.values():
-            if set(hand.joints) & set(places):
-                hand.pose = None
+        self._end_poses(places)
 
     def _places(self, names: Sequence[str]) -> list[int]:
         if not names:
@@ -576,9 +598,16 @@ class Arms:
         self._approaches[f"the {side} hand"] = Approach(_NEAR[0])
         self._release(hand.joints)
 
+    def _end_poses(self, places: Iterable[int]) -> None:
+        """Forget the poses of hands that some joints move."""
+        for hand in self.hands.values():
+            if set(hand.joints) & set(places):
+                hand.pose = None
+
     def _release(self, places: Iterable[int]) -> None:
-        """Forget the trajectories of some joints."""
+        """Forget the trajectories of some joints, and that they have been given up."""
         gone = set(places)
+        self._given_up -= gone
         self._asked = [one for one in self._asked if one[0] not in gone]
         self._paths = {place: path for place, path in self._paths.items() if place not in gone}
 

@@ -415,3 +415,47 @@ def test_a_trajectory_begins_by_the_clock_of_the_states_after_it_was_set(make: A
     ((_, _, begin),) = node.node._controller.walk.arms._asked
     walked = node.node._controller.walk.arms._time  # of the last state
     assert begin - walked == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("arm", [True, False])
+def test_an_arm_that_something_blocks_holds_still_and_ends_no_walk(make: Any, arm: bool) -> None:
+    from geometry_msgs.msg import Twist
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    node, robot = make("controller", CONFIG), KinematicPlant(MODEL, make_walk(CONFIG, MODEL).posture)
+    stuck, sent = MODEL.joint_names.index("l_elbow_y" if arm else "l_knee_y"), []
+
+    def walk(seconds: float, *, blocked: bool) -> None:
+        angle = robot.state.q[stuck]
+        for _ in range(round(seconds / CONFIG.dt)):
+            q = robot.state.q.copy()
+            q[stuck] = angle if blocked else q[stuck]  # of a leg it also drifts
+            angle += 0.0 if arm else 0.5 * CONFIG.dt
+            sent.append(node.exchange(robot, MODEL, 1.0 + CONFIG.dt * len(sent), q))
+            if blocked:
+                robot.state.q[stuck] = angle if arm else robot.state.q[stuck]
+
+    def aim(angle: float) -> None:
+        point = JointTrajectoryPoint(positions=[angle])
+        point.time_from_start.sec = 1
+        node.send("arm_trajectory", JointTrajectory(joint_names=["l_elbow_y"], points=[point]))
+
+    walk(0.2, blocked=False)
+    forward = Twist()
+    forward.linear.x = 0.05
+    node.send("cmd_vel", forward)
+    aim(-1.5)
+    walk(3.0, blocked=True)
+    assert (node.got["phase"][-1].data == "failed") is not arm
+    if not arm:
+        return
+    told = "l_elbow_y does not follow: its arm holds still where it is; something blocks it"
+    assert told in node.log
+    assert np.abs(np.array(sent[-100:])[:, ELBOW]).max() < 0.05
+    aim(-1.0)
+    walk(2.0, blocked=False)
+    assert abs(robot.state.q[ELBOW] + 1.0) < 0.05
+    aim(0.0)
+    walk(2.0, blocked=True)
+    assert [line for _, line in node.log.lines].count(told) == 2
+    assert "failed" not in [message.data for message in node.got["phase"]]
