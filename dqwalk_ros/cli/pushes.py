@@ -80,8 +80,9 @@ examples:
     "--bottle",
     metavar="KG",
     type=Real(0.5, 20.0),
-    help="Push recovery of the RoboCup Humanoid League (rules of 2025): while the robot walks on the spot, a bottle on "
-    "a rope of 1.75 m hits its pelvis, from behind and from the front. Has its own directions and no --duration.",
+    help="Push recovery of the RoboCup Humanoid League (rules of 2025): while the robot walks on the spot, or with the "
+    "steps of --set gait.step_length=M, a bottle on a rope of 1.75 m hits its pelvis, from behind and from the front. "
+    "Has its own directions and no --duration.",
 )
 @many_options("pushes")
 @params_option
@@ -111,6 +112,8 @@ def pushes(
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.studies import pushes as study
 
+    if bottle:  # on the spot, unless the steps are given
+        changes = ("gait.step_length=0", *changes)
     made = config_of(config, changes, plant=plant, params=params)
     model = load_model(made.robot)
     if link and link not in model.frames:
@@ -119,8 +122,8 @@ def pushes(
         raise ConfigError("--bottle hits the pelvis: omit --link")
     if bottle:
         if moment == "standing":
-            raise ConfigError("--bottle hits a robot that walks on the spot: choose --moment left, right or all")
-        made, directions = made.updated({"gait.step_length": 0.0}), 2
+            raise ConfigError("--bottle hits a robot that walks: choose --moment left, right or all")
+        directions = 2
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
     moments = (study.MOMENTS[1:] if bottle else study.MOMENTS) if moment == "all" else (moment,)

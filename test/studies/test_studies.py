@@ -474,16 +474,18 @@ def test_limits_of_pushes_are_saved_and_printed(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "pushes.txt").read_text() == shown
 
 
-def test_the_bottle_of_robocup_is_measured_by_the_rules(tmp_path, monkeypatch, capsys):
-    """M and the distance of the release, of the weaker foot."""
+@pytest.mark.parametrize(("given", "length"), [((), 0.0), (("--set", "gait.step_length=0.03"), 0.03)])
+def test_the_bottle_of_robocup_is_measured_by_the_rules(given, length, tmp_path, monkeypatch, capsys):
+    """M and the distance of the release, of the weaker foot; on the spot, unless the steps are given."""
 
     def pushed(config, push):
-        assert config.gait.step_length == 0.0
+        assert config.gait.step_length == length
         assert push.bottle == 3.0
         return "fell" if push.impulse > (2.0 if push.direction > 1.0 else 3.0) + (push.moment == "left") else ""
 
     monkeypatch.setattr(pushes, "pushed", pushed)
-    assert cli.main(["pushes", "--bottle", "3", "--jobs", "1", "--tolerance", "1e-4", "--out", str(tmp_path)]) == 0
+    command = ["pushes", "--bottle", "3", *given, "--out", str(tmp_path)]
+    assert cli.main([*command, "--jobs", "1", "--tolerance", "1e-4"]) == 0
     shown = capsys.readouterr().out
     model = load_model(POPPY.robot)
     kin = Kinematics(model, make_walk(POPPY, model).posture, Foot.LEFT)
@@ -492,7 +494,7 @@ def test_the_bottle_of_robocup_is_measured_by_the_rules(tmp_path, monkeypatch, c
         away = math.sqrt(1.75**2 - (1.75 - drop) ** 2)
         measure = math.sqrt(drop) / kin.com[2] * 3.0 / model.mass * kin.point(model.pelvis)[2] / kin.com[2]
         assert f"{where}: released {away:.2f} m away, on a rope of 1.75 m: M = {measure:.2f}" in shown
-    assert cli.main(["pushes", "--bottle", "3", "--moment", "standing", "--out", str(tmp_path)]) == 2
+    assert cli.main([*command, "--moment", "standing"]) == 2
 
 
 def test_another_link_is_pushed(tmp_path, monkeypatch, capsys):
