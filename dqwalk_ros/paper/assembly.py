@@ -250,7 +250,7 @@ class Assembly:
         self.rows = np.repeat([[c.bound, c.eta, c.return_speed] for c in every], counts, axis=0).T.copy()
         self.spans = {c.name: span for c, span in zip(every, _slices(counts), strict=True)}
         near = np.repeat([c.near for c in constraints], counts[:-2])
-        self._enters = self.rows[0, : len(near)] + near  # distances below which the rows enter the program
+        self._near = near
         self._always = not np.isfinite(near).any()
         self.equality_rows = sum(counts[: len(equalities)])
 
@@ -316,7 +316,10 @@ class Assembly:
         )  # fmt: skip
         problem = Problem(*numbers, self.names)
         if not self._always:
-            kept = ~(values[r:k] >= self._enters)  # also what is not a number
+            enters = self._near
+            if dt is not None and velocity is not None:  # nothing beyond reaches its bound within a period
+                enters = np.maximum(enters, dt * np.abs(J[r:]) @ velocity)
+            kept = ~(values[r:k] - self.rows[0, : k - r] >= enters)  # also what is not a number
             names = itertools.compress(self.names, [*kept, *[True] * (2 * n)])
             problem = problem._replace(W=problem.W[kept], w=w[kept], names=tuple(names))
         return Evaluation(self, values, J, problem, error)

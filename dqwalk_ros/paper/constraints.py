@@ -119,7 +119,8 @@ class Constraint(Quantity):
         Largest speed at which a distance below its bound is required to return [unit of the distance per second]. It
         keeps the quadratic program feasible after a disturbance that violates the constraint.
     near : float
-        Distance above its bound from which on an inequality is not part of the quadratic program; by default always.
+        Distance above its bound from which on an inequality is not part of the quadratic program; by default it always
+        is. Where the largest joint velocities reach the bound within a period from farther away, that distance.
     look : Look
     unit : str
         Of its `margin`, ``m`` or ``rad``.

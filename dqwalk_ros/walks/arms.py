@@ -45,6 +45,8 @@ _PATIENCE = 2.0
 """Time without progress after which an arm has stopped short of where it was sent [s]."""
 _NEAR = 0.005, 0.02
 """Least progress of a hand [m] and of a joint [rad] towards where it was sent (`Approach.enough`)."""
+_SPEEDS = "arms.joint_speed, joints.velocity, or the joint's own"
+"""What limits the speed of an arm's joint."""
 _MOST_POINTS = 10_000
 """Largest number of points of a trajectory."""
 
@@ -127,9 +129,26 @@ class JointPath:
         s = (time - times[k]) / h
         if v is None:
             return float(q[k] + s * way), float(way / h)
-        a, b = h * v[k], h * v[k + 1]
-        c, d = 3.0 * way - 2.0 * a - b, a + b - 2.0 * way
+        a, c, d = _cubic(h, way, v[k], v[k + 1])
         return float(q[k] + s * (a + s * (c + s * d))), float((a + s * (2.0 * c + 3.0 * s * d)) / h)
+
+    def fastest(self) -> list[float]:
+        """Return the largest speed between each two points [rad/s]."""
+        out, v = [], self.velocities
+        for k, (h, way) in enumerate(zip(np.diff(self.times).tolist(), np.diff(self.angles).tolist(), strict=True)):
+            if v is None:
+                out.append(abs(way) / h)
+                continue
+            a, c, d = _cubic(h, way, v[k], v[k + 1])  # its velocity is a parabola
+            top = min(max(-c / (3.0 * d), 0.0), 1.0) if d else 0.0
+            out.append(max(abs(a + s * (2.0 * c + 3.0 * s * d)) / h for s in (0.0, top, 1.0)))
+        return out
+
+
+def _cubic(h: float, way: float, begin: float, end: float) -> tuple[float, float, float]:
+    """Return a, c and d of the way a s + c s^2 + d s^3, s in [0, 1], in a time h [s], by the velocities at its ends."""
+    a, b = h * begin, h * end
+    return a, 3.0 * way - 2.0 * a - b, a + b - 2.0 * way
 
 
 @dataclass
@@ -296,7 +315,7 @@ class Arms:
         self._swing = self._swing[self._joints]
         margin, most = config.joints.margin, config.joints.velocity or np.inf
         self._low, self._high = model.q_min[self._joints] + margin, model.q_max[self._joints] - margin
-        self._fastest = np.minimum(model.velocity_max[self._joints], most)
+        self._fastest = np.minimum(model.velocity_max[self._joints], min(most, a.joint_speed))
         named = {"left": a.left_hand, "right": a.right_hand}
         self.hands = {side: self._hand(side, link) for side, link in named.items() if link}
         self._paths: dict[int, tuple[JointPath, float]] = {}  # path and its beginning [s], by the place in `names`
@@ -383,7 +402,8 @@ class Arms:
             if self._is_over(begin + float(path.times[-1]), time):
                 del self._paths[place]
             else:
-                q[place], dq[place] = path.at(time - begin)
+                q[place], speed = path.at(time - begin)
+                dq[place] = min(max(speed, -self._fastest[place]), self._fastest[place])  # also to a first point
                 if time > begin + path.times[-1]:
                     self._note(self.names[place], abs(float(kin.q[self._joints[place]] - q[place])), "rad")
         if self._paths:
@@ -537,16 +557,19 @@ class Arms:
         for column, place in enumerate(places):
             for k in range(len(t)):
                 self._check(place, k, float(q[k, column]), 0.0 if v is None else float(v[k, column]))
-                if k and (mean := abs(q[k, column] - q[k - 1, column]) / (t[k] - t[k - 1])) > self._fastest[place]:
+        paths = [
+            JointPath(t, q[:, k].copy(), None if v is None else v[:, k].copy())
+            for k in range(len(places) if len(t) else 0)
+        ]
+        for place, path in zip(places, paths, strict=False):
+            for k, needed in enumerate(path.fastest(), start=2):
+                if needed > self._fastest[place] * (1.0 + 1e-9):
                     raise StateError(
-                        f"{self.names[place]} needs {mean:.3g} rad/s to point {k + 1} of the trajectory; "
-                        f"its limit is {self._fastest[place]:g}"
+                        f"{self.names[place]} needs {needed:.3g} rad/s to point {k} of the trajectory; "
+                        f"its limit is {self._fastest[place]:g} ({_SPEEDS})"
                     )
         self._release(places)
-        for column, place in enumerate(places):
-            if len(t):
-                path = JointPath(t, q[:, column].copy(), None if v is None else v[:, column].copy())
-                self._asked.append((place, path, begin))
+        self._asked += [(place, path, begin) for place, path in zip(places, paths, strict=False)]
         self._end_poses(places)
 
     def _places(self, names: Sequence[str]) -> list[int]:
@@ -564,7 +587,7 @@ class Arms:
         if not low <= q <= high:
             raise StateError(f"{where} is {q:.4g} rad; its limits are {low:.4g} and {high:.4g}")
         if not abs(v) <= self._fastest[place]:
-            raise StateError(f"{where} has {v:.4g} rad/s; its limit is {self._fastest[place]:g}")
+            raise StateError(f"{where} has {v:.4g} rad/s; its limit is {self._fastest[place]:g} ({_SPEEDS})")
 
     def reach(self, side: str, pose: DQ | None, frame: str = "") -> None:
         """Move a hand to a pose; None lets the arm return to its posture.

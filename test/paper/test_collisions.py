@@ -206,9 +206,9 @@ def test_entries_that_are_not_valid_are_named(changes, message):
 def test_only_a_pair_that_is_near_has_a_row():
     q = np.zeros(MODEL.n)
 
-    def evaluated(near):
+    def evaluated(near, **limits):
         kind, support = PhaseKind.DOUBLE_SUPPORT, Foot.LEFT
-        return make_walk(apart(collision__near=near), MODEL).phase(kind, support, q).evaluate(q, dt=0.005)
+        return make_walk(apart(collision__near=near), MODEL).phase(kind, support, q).evaluate(q, dt=0.005, **limits)
 
     plain = make_walk(load("paper"), MODEL).phase(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT, q).evaluate(q, dt=0.005)
     far = evaluated(1e-3)
@@ -216,6 +216,10 @@ def test_only_a_pair_that_is_near_has_a_row():
     assert distance > 1e-3
     for one, other in zip(far.problem, plain.problem, strict=True):
         np.testing.assert_array_equal(one, other)
+    reach = 0.005 * np.abs(far.J[far.assembly.task_rows :][far.assembly.spans["apart_l_shin_r_shin"]]).sum()
+    for speed, rows in ((0.9 * distance / reach, 0), (1.1 * distance / reach, 1)):  # it could touch within a period
+        limited = evaluated(1e-3, velocity=np.full(MODEL.n, speed))
+        assert len(limited.problem.w) == len(plain.problem.w) + rows
     near = evaluated(distance + 1e-3)
     assert set(near.problem.names) - set(far.problem.names) == {"apart_l_shin_r_shin"}
     row = near.problem.names.index("apart_l_shin_r_shin")

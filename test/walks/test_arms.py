@@ -100,7 +100,7 @@ def test_arms_swing_against_the_legs_and_have_no_part_in_the_steps() -> None:
 
 
 def test_a_trajectory_is_followed_and_its_end_is_held() -> None:
-    robot = Robot()
+    robot = Robot(CONFIG.updated({"arms.joint_speed": 3.0}))
     robot.run(0.1)
     robot.controller.steer(0.05, 0.0, 0.0)
     robot.arms.follow(["l_elbow_y"], [0.5, 1.0], [[-0.8], [-1.2]], [[-1.0], [0.0]])
@@ -122,6 +122,9 @@ def test_a_path_is_differentiated_by_its_velocity() -> None:
             assert path.at(t)[1] == pytest.approx((path.at(t + 1e-6)[0] - path.at(t - 1e-6)[0]) / 2e-6, abs=1e-6)
         for k, t in enumerate(times):
             assert path.at(t)[0] == pytest.approx(path.angles[k])
+        for k, fastest in enumerate(path.fastest()):
+            speeds = [abs(path.at(t)[1]) for t in np.linspace(times[k], times[k + 1], 2001)[1:-1]]
+            assert max(speeds) == pytest.approx(fastest, rel=1e-3)
         assert (path.at(-1.0)[1], path.at(2.0)) == (0.0, (path.angles[-1], 0.0))
 
 
@@ -136,8 +139,15 @@ def test_a_path_is_differentiated_by_its_velocity() -> None:
         (["l_elbow_y"], [math.nan], [[-1.0]], None, "not finite"),
         (["l_elbow_y"], [1.0], [[math.nan]], None, "point 1 of l_elbow_y is nan rad"),
         (["l_elbow_y"], [1.0, 2.0], [[-1.0], [0.5]], None, "point 2 of l_elbow_y is 0.5 rad; its limits are -2.583"),
-        (["l_elbow_y"], [1.0], [[-1.0]], [[-9.0]], "point 1 of l_elbow_y has -9 rad/s; its limit is 3"),
+        (
+            ["l_elbow_y"],
+            [1.0],
+            [[-1.0]],
+            [[-9.0]],
+            "point 1 of l_elbow_y has -9 rad/s; its limit is 1 .arms.joint_speed",
+        ),
         (["l_elbow_y"], [1.0, 1.1], [[-1.0], [-2.0]], None, "l_elbow_y needs 10 rad/s to point 2"),
+        (["l_elbow_y"], [1.0, 2.0], [[-1.0], [-1.8]], [[0.0], [0.0]], "l_elbow_y needs 1.2 rad/s to point 2"),
     ],
 )
 def test_invalid_trajectories_are_refused_by_name(

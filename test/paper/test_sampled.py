@@ -1,0 +1,66 @@
+"""The vector-field inequality in sampled time: what one period does to each distance, at random states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dqwalk_ros.config import load, with_files
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.support.errors import QPError
+from dqwalk_ros.walks.table import make_walk
+
+CURVATURE = 0.25
+"""Largest second derivative of a distance along a motion on which the sum of all joint angles is one [m]."""
+
+
+@pytest.mark.parametrize("count", [60, pytest.param(25_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("name", "params"),
+    [("paper", []), ("poppy", ["arms"]), ("poppy_dynamic", ["arms"]), ("poppy_dynamic_50hz", ["arms"])],
+)
+def test_a_period_brings_no_distance_nearer_to_its_bound_than_eta_and_the_curvature_allow(
+    name: str, params: list[str], count: int
+) -> None:
+    """d[k+1] >= (1 - eta dt) d[k] - 1/2 R (dt sum |u|)^2, whatever the state, if the bounds are kept there."""
+    config = with_files(load(name), [Path(one) for one in params])
+    model, rng, solver, dt = load_model(config.robot), np.random.default_rng(1), make_solver("daqp"), config.dt
+    fastest = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
+    walk, kept, phases = make_walk(config, model), 0, []
+    for kind in (PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT):
+        for foot in Foot:
+            ahead = DQ.from_pose(rng.uniform([0.02, -0.01, -0.01], [0.05, 0.01, 0.01]))
+            landing = ahead * DQ(Kinematics(model, walk.posture, foot).pose(model.soles[foot.other].frame))
+            single = kind is PhaseKind.SINGLE_SUPPORT
+            phases.append(walk.phase(kind, foot, walk.posture, landing.vec8() if single else None))
+    while kept < count:
+        phase = phases[rng.integers(len(phases))]
+        q = walk.posture + rng.uniform(0.0, 0.3) * rng.uniform(-1.0, 1.0, model.n)
+        now, names, rows = (
+            phase.evaluate(q, dt=dt, velocity=fastest),
+            phase.assembly.names,
+            phase.assembly.equality_rows,
+        )
+        if (now.margins[rows:] < 0.0).any():
+            continue
+        of = now.problem
+        try:  # the inequalities alone: random soles are not on the ground
+            u = solver.solve(of._replace(W=of.W[rows:], w=of.w[rows:], equalities=0, names=of.names[rows:])).u
+        except QPError:
+            continue
+        kept += 1
+        after = phase.evaluate(q + dt * u).margins
+        slack = after - (1.0 - np.minimum(phase.assembly.rows[1], 1.0 / dt) * dt) * now.margins
+        allowed = 0.5 * CURVATURE * (dt * np.abs(u).sum()) ** 2
+        for k in range(rows, len(names)):
+            if names[k] in of.names:
+                assert slack[k] >= -allowed - 1e-12, names[k]
+            else:  # far bodies, which the program leaves out
+                assert after[k] >= -allowed, names[k]
