@@ -51,6 +51,9 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
     """
     q = model.posture(config.standing.posture)
     found = [*_posture(config, model, q), *_soles(config, model, q)]
+    if config.arms.joints and not config.collision.pairs:
+        text = "nothing keeps the free arms from the body; `dqwalk config FILE --capsules` prints pairs and capsules"
+        found.append(Finding(text, "collision.pairs, collision.capsules"))
     if found or config.gait.style == "paper":
         return found
     if config.gait.style == "standing":

@@ -31,7 +31,11 @@ examples:
 @click.argument("config", required=False)
 @click.option("--section", metavar="NAME", help="List one section only.")
 @click.option("--check", is_flag=True, help="Only check that it is valid and fits its robot.")
-@click.option("--capsules", is_flag=True, help="Print collision.capsules for the links of collision.pairs.")
+@click.option(
+    "--capsules",
+    is_flag=True,
+    help="Print collision.capsules for the links of collision.pairs, by default for the arms.",
+)
 @params_option
 @set_option
 def config(
@@ -86,18 +90,25 @@ def _check(name: str, made: Config) -> int:
 
 
 def _capsules(made: Config) -> int:
-    """Print the capsules around the shapes of the links that are kept apart."""
+    """Print the capsules around the shapes of the links that are kept apart, without pairs those that the arms meet."""
     from pathlib import Path
 
+    from dqwalk_ros.adopt.own_bodies import pairs_of_arms
     from dqwalk_ros.robot.model import find_urdf, load_model
     from dqwalk_ros.robot.shapes import Shapes, capsule_around
     from dqwalk_ros.robot.urdf import Urdf
 
-    links = dict.fromkeys(link.strip() for pair in made.collision.pairs for link in pair.split("="))
-    if not links:
-        raise ConfigError("--capsules needs collision.pairs, such as --set 'collision.pairs=[l_shin=r_shin]'")
     model = load_model(made.robot)
     shapes = Shapes(Urdf(model.urdf, model.name), find_urdf(made.robot.urdf) or Path(made.robot.urdf))
+    pairs = made.collision.pairs
+    if not pairs and made.arms.joints:
+        pairs = tuple(found := pairs_of_arms(made, model, shapes.hulls(list(model.frames))[0]))
+        print("# what the arms can meet, and in what part of their postures they do\ncollision.pairs:")
+        for pair, part in found.items():
+            print(f'  - "{pair}"  # {100.0 * part:.1f} %')
+    links = dict.fromkeys(link.strip() for pair in pairs for link in pair.split("="))
+    if not links:
+        raise ConfigError("--capsules needs collision.pairs, such as --set 'collision.pairs=[l_shin=r_shin]'")
     hulls, which = shapes.hulls([link for link in links if link in model.frames])
     if lost := [link for link in links if link not in hulls]:
         why = "; ".join(f"{mesh}: {reason}" for mesh, reason in shapes.missing.items())

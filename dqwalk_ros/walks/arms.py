@@ -47,6 +47,10 @@ _NEAR = 0.005, 0.02
 """Least progress of a hand [m] and of a joint [rad] towards where it was sent (`Approach.enough`)."""
 _SPEEDS = "arms.joint_speed, joints.velocity, or the joint's own"
 """What limits the speed of an arm's joint."""
+_UNPROTECTED = (
+    "nothing keeps the arms from the body: collision.pairs has no link of an arm; `dqwalk config FILE --capsules` "
+    "prints pairs and capsules"
+)
 _MOST_POINTS = 10_000
 """Largest number of points of a trajectory."""
 
@@ -331,7 +335,7 @@ class Arms:
         self._given_up = set[int]()  # joints that hold still, by the place in `names`
         self._pressed, self._rows = math.nan, ""  # when and by which rows an arm was last kept from the body [s]
         self._approaches: dict[str, Approach] = {}  # of hands and joints with a command
-        self._news: list[str] = []
+        self._news = [] if self._apart else [_UNPROTECTED]
         size = len(self._joints)
         self._numbers = {foot: np.zeros(size * (model.n + 5)) for foot in Foot}
         for foot in Foot:
@@ -400,7 +404,7 @@ class Arms:
         q, dq, swing, factor = self._posture.copy(), np.zeros(len(self._joints)), self._swing, np.ones(len(self.names))
         for place, (path, begin) in list(self._paths.items()):
             if self._is_over(begin + float(path.times[-1]), time):
-                del self._paths[place]
+                self._release([place])
             else:
                 q[place], speed = path.at(time - begin)
                 dq[place] = min(max(speed, -self._fastest[place]), self._fastest[place])  # also to a first point

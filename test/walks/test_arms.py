@@ -257,6 +257,46 @@ def test_what_an_arm_cannot_reach_is_said_once() -> None:
     assert len(told) == len({*told}) <= 1 + 4
 
 
+def test_the_command_prints_the_pairs_that_poppys_arms_can_meet(capsys: Any) -> None:
+    from dqwalk_ros import cli
+    from dqwalk_ros.support import strict_yaml
+
+    free = [
+        "config",
+        "poppy_dynamic",
+        "--params",
+        "arms",
+        "--set",
+        "collision.pairs=[]",
+        "--set",
+        "collision.capsules=[]",
+    ]
+    assert cli.main([*free, "--check"]) == 1
+    assert "nothing keeps the free arms from the body" in capsys.readouterr().out
+    assert cli.main([*free, "--capsules"]) == 0
+    printed = strict_yaml.read(capsys.readouterr().out, source="printed")
+    pairs = {frozenset(pair.split("=")) for pair in printed["collision.pairs"]}
+    assert pairs >= {frozenset(pair.split("=")) for pair in CONFIG.collision.pairs}
+    assert len(pairs) < len(CONFIG.collision.pairs) + 5
+    alone = Arms(CONFIG.updated({name: tuple(value) for name, value in printed.items()}), MODEL, ZERO)
+    assert not alone.news()
+    assert (
+        "nothing keeps the arms from the body" in Arms(CONFIG.updated({"collision.pairs": ()}), MODEL, ZERO).news()[0]
+    )
+
+
+def test_an_arm_that_gave_up_may_do_so_again_after_its_timeout() -> None:
+    robot = Robot(CONFIG.updated({"arms.timeout": 0.3}))
+    robot.run(0.1)
+    robot.arms.follow(["l_elbow_y"], [0.5], [[-0.4]])
+    robot.run(0.2)
+    assert len(robot.arms.give_up(ELBOW)) == 4
+    assert not len(robot.arms.give_up(ELBOW))
+    assert not len(robot.arms.give_up(MODEL.joint_names.index("l_knee_y")))
+    robot.run(0.5)
+    assert len(robot.arms.give_up(ELBOW)) == 4
+
+
 def test_poppys_links_touch_in_no_posture_that_the_rows_of_its_arms_allow() -> None:
     from dqwalk_ros.plants.mujoco import own_contacts
 

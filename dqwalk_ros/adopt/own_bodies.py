@@ -1,0 +1,78 @@
+"""Which links of a robot the arms can meet, and the capsules around them, for the section ``collision``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dqwalk_ros.config import Config
+from dqwalk_ros.paper.collisions import closest_on_segments
+from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.shapes import capsule_around
+from dqwalk_ros.support.arrays import Array
+
+__all__ = ["pairs_of_arms"]
+
+
+_POSTURES = 1000
+"""Number of random postures of the arms that are tried."""
+_NEARLY = 0.01
+"""Distance above ``collision.margin`` that counts as met [m]: a pair may meet between the postures that are tried."""
+
+
+def pairs_of_arms(config: Config, model: RobotModel, hulls: Mapping[str, Array]) -> dict[str, float]:
+    """Return the pairs LINK=LINK of arms and other links that meet in some posture, or nearly so.
+
+    The other joints are in ``standing.posture``. Links of one body or that a joint connects are left out, and pairs
+    that are as near in the posture: capsules of angular links may overlap.
+
+    Parameters
+    ----------
+    hulls : dict of str to ndarray, shape (N, 3)
+        Corners of the links in their frames [m].
+
+    Returns
+    -------
+    dict of str to float
+        With the part of the postures in which they are too near.
+    """
+    standing, margin = model.posture(config.standing.posture), config.collision.margin
+    joints = sorted({k for pattern in config.arms.joints for k in model.matching(pattern, "arms.joints")})
+    body = {link: model.frames[link].body for link in hulls}
+    moved = {link: any(model.bodies[b].joint in joints for b in model.chain(body[link])) for link in hulls}
+    shapes = {link: capsule_around(corners) for link, corners in hulls.items()}
+    links = sorted(hulls, key=lambda link: (not moved[link], link))
+    pairs = [
+        (one, other)
+        for i, one in enumerate(links)
+        for other in links[i + 1 :]
+        if moved[one]
+        and body[one] != body[other]
+        and model.bodies[body[one]].parent != body[other]
+        and model.bodies[body[other]].parent != body[one]
+    ]
+    rng = np.random.default_rng(0)
+    met = np.zeros(len(pairs))
+    beside = np.array([True] * len(pairs))
+    for k in range(_POSTURES):
+        q = standing.copy()
+        if k:
+            q[joints] = rng.uniform(model.q_min[joints], model.q_max[joints])
+        kin = Kinematics(model, q, Foot.LEFT)
+        poses = {link: DQ(kin.pose(link)) for link in links}
+        ends = {link: poses[link].transform_point(np.array(shapes[link][:2])).ravel() for link in links}
+        apart = np.array([_distance(ends[a], ends[b]) - shapes[a][2] - shapes[b][2] for a, b in pairs])
+        if not k:
+            beside = apart < margin
+        met += (apart < margin + _NEARLY) & ~beside
+    return {f"{a}={b}": count / _POSTURES for (a, b), count in zip(pairs, met.tolist(), strict=True) if count}
+
+
+def _distance(one: Array, other: Array) -> float:
+    """Return the distance of two segments, of which the ends are given, (6,) each [m]."""
+    t, r = closest_on_segments(np.concatenate([one, other]))
+    return float(np.linalg.norm(one[:3] + t * (one[3:] - one[:3]) - other[:3] - r * (other[3:] - other[:3])))
