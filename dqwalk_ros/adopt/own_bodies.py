@@ -20,7 +20,7 @@ __all__ = ["pairs_of_arms"]
 
 _POSTURES = 1000
 """Number of random postures of the arms that are tried."""
-_NEARLY = 0.01
+_NEARLY = 0.02
 """Distance above ``collision.margin`` that counts as met [m]: a pair may meet between the postures that are tried."""
 
 
@@ -57,7 +57,7 @@ def pairs_of_arms(config: Config, model: RobotModel, hulls: Mapping[str, Array])
     ]
     rng = np.random.default_rng(0)
     met = np.zeros(len(pairs))
-    beside = np.array([True] * len(pairs))
+    nearly, beside = np.zeros((2, len(pairs)), dtype=bool)
     for k in range(_POSTURES):
         q = standing.copy()
         if k:
@@ -68,8 +68,10 @@ def pairs_of_arms(config: Config, model: RobotModel, hulls: Mapping[str, Array])
         apart = np.array([_distance(ends[a], ends[b]) - shapes[a][2] - shapes[b][2] for a, b in pairs])
         if not k:
             beside = apart < margin
-        met += (apart < margin + _NEARLY) & ~beside
-    return {f"{a}={b}": count / _POSTURES for (a, b), count in zip(pairs, met.tolist(), strict=True) if count}
+        nearly |= (apart < margin + _NEARLY) & ~beside
+        met += apart < margin
+    parts = zip(pairs, met.tolist(), nearly.tolist(), strict=True)
+    return {f"{a}={b}": count / _POSTURES for (a, b), count, kept in parts if kept}
 
 
 def _distance(one: Array, other: Array) -> float:
