@@ -25,6 +25,7 @@ from dqwalk_ros.robot.packages import expanded
 from dqwalk_ros.robot.urdf_file import LARGEST, MOST_BYTES, elements, place
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.support.interrupts import postponed_interrupts
 
 if TYPE_CHECKING:
     from yourdfpy import Inertial, Joint, Limit, Link, Material
@@ -82,7 +83,8 @@ class Urdf:
     """
 
     def __init__(self, data: bytes | str, source: str) -> None:
-        import yourdfpy
+        with postponed_interrupts():  # trimesh, which yourdfpy imports, takes Ctrl-C for a missing package
+            import yourdfpy
 
         self.source = source
         self.repairs: list[str] = []

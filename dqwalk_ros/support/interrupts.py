@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-__all__ = ["as_ctrl_c", "deferred_interrupts", "end_with", "is_interrupt", "serve"]
+__all__ = ["as_ctrl_c", "deferred_interrupts", "end_with", "is_interrupt", "postponed_interrupts", "serve"]
 
 
 @contextlib.contextmanager
@@ -42,6 +42,15 @@ def deferred_interrupts() -> Iterator[list[signal.Signals]]:
         yield received
     finally:
         restore()
+
+
+@contextlib.contextmanager
+def postponed_interrupts() -> Iterator[None]:
+    """Let a first SIGINT, SIGTERM or SIGHUP act at the end of the context, such as an import that would lose it."""
+    with deferred_interrupts() as received:
+        yield
+    for number in received:
+        signal.raise_signal(number)
 
 
 @contextlib.contextmanager

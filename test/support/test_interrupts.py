@@ -99,3 +99,16 @@ def test_an_interrupt_while_a_program_imports_its_modules_ends_it_silently(progr
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, b"", b"")
+
+
+def test_an_interrupt_while_yourdfpy_is_imported_is_not_lost():
+    """To trimesh, which it imports, an optional package is missing whatever is raised while it is imported."""
+    code = (
+        "import signal, sys\nfrom dqwalk_ros.robot.urdf import Urdf\n"
+        "class Finder:\n    def find_spec(self, name, *_):\n"
+        "        if name == 'shapely.geometry': sys.meta_path.remove(self); signal.raise_signal(signal.SIGINT)\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\nsys.meta_path.insert(0, Finder())\n"
+        "try: Urdf('<robot/>', 'test')\nexcept KeyboardInterrupt: print('interrupted')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.stdout == "interrupted\n", done.stderr
