@@ -1,8 +1,8 @@
 """Starts the whole-body controller, its rigid plant and, optionally, the recorder.
 
 ros2 launch dqwalk_ros whole_body.launch.py bag:=my_walk
-ros2 topic pub --once /hand_target geometry_msgs/PoseStamped '{pose: {position: {x: 1.2, y: -0.8, z: 0.9}}}'
-ros2 topic pub --once /push geometry_msgs/WrenchStamped '{wrench: {force: {y: 15.0}}}'
+ros2 topic pub --once /hand_target geometry_msgs/msg/PoseStamped '{pose: {position: {x: 1.2, y: -0.8, z: 0.9}}}'
+ros2 topic pub --once /push geometry_msgs/msg/WrenchStamped '{wrench: {force: {y: 15.0}}}'
 dqwalk report my_walk
 """
 

@@ -53,6 +53,8 @@ def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, ou
         )
     if not output.quiet or not outcome.finished:
         print(outcome, file=sys.stderr)
+    if not outcome.finished and not outcome.ticks:
+        return 1  # what was recorded, if anything, is a walk of other nodes
     try:
         trace = bag.read(outcome.bag, walk=config.gait.walk)
     except BagError as error:

@@ -325,7 +325,8 @@ class Controller(AnsweringNode):
 
     def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode is not Mode.WALKING:
-            return self.answer(response, False, f"not walking: {self._mode.value}")
+            how = "; ~/start, then ~/stop" if self._mode is Mode.PAUSED else ""
+            return self.answer(response, False, f"not walking: {self._mode.value}{how}")
         try:
             self._controller.stop()
         except DqwalkError as error:

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 import yaml
+from stand_in_launch import MODULES, Launch, StandIn
 
 from dqwalk_ros.config import SHIPPED, Config, from_yaml, load
 from dqwalk_ros.nodes.command_line import NODES
@@ -27,27 +28,6 @@ ARGUMENTS = {
 }
 
 
-class StandIn:
-    """A stand-in for the classes of `launch` and `launch_ros`, which the ROS wheels lack; it keeps its arguments."""
-
-    def __init__(self, *args: Any, **given: Any) -> None:
-        self.args, self.given = args, given
-
-    def perform(self, context: dict[str, str]) -> str:
-        """Return the value of a LaunchConfiguration."""
-        return context[self.args[0]]
-
-
-class Launch(types.ModuleType):
-    """A module in which every name is a subclass of `StandIn`."""
-
-    def __getattr__(self, name: str) -> type[StandIn]:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        setattr(self, name, type(name, (StandIn,), {}))
-        return getattr(self, name)
-
-
 @pytest.fixture
 def warnings(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Return the warnings that a launch file logs."""
@@ -61,9 +41,9 @@ def warnings(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 @pytest.fixture
 def defined(monkeypatch: pytest.MonkeyPatch, warnings: list[str]) -> dict[str, Any]:
     """Return the names that the launch file defines."""
-    inner = ("", ".actions", ".event_handlers", ".events", ".events.process", ".substitutions")
-    for module in (*(f"launch{name}" for name in inner), "launch_ros", "launch_ros.actions"):
-        monkeypatch.setitem(sys.modules, module, Launch(module))
+    for module in MODULES:
+        if module != "launch.logging":
+            monkeypatch.setitem(sys.modules, module, Launch(module))
     monkeypatch.delitem(
         sys.modules, "dqwalk_ros.nodes.launching", raising=False
     )  # it has the stand-ins of another test
@@ -243,8 +223,6 @@ def test_shipped_configurations_and_those_of_other_packages_start_without_a_warn
 @pytest.fixture
 def others(monkeypatch: pytest.MonkeyPatch, defined: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the names that the other launch files define, by the name of the file."""
-    for module in ("launch.conditions", "launch.launch_description_sources", "launch_ros.parameter_descriptions"):
-        monkeypatch.setitem(sys.modules, module, Launch(module))
     found = Launch("ament_index_python.packages")  # it finds every package
     found.PackageNotFoundError = KeyError
     monkeypatch.setitem(sys.modules, "ament_index_python", Launch("ament_index_python"))
