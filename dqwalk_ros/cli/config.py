@@ -99,10 +99,11 @@ def _capsules(made: Config) -> int:
     from dqwalk_ros.robot.urdf import Urdf
 
     model = load_model(made.robot)
-    shapes = Shapes(Urdf(model.urdf, model.name), find_urdf(made.robot.urdf) or Path(made.robot.urdf))
+    urdf = Urdf(model.urdf, model.name)
+    shapes = Shapes(urdf, find_urdf(made.robot.urdf) or Path(made.robot.urdf))
     pairs = made.collision.pairs
     if not pairs and made.arms.joints:
-        pairs = tuple(found := pairs_of_arms(made, model, shapes.hulls(list(model.frames))[0]))
+        pairs = tuple(found := pairs_of_arms(made, model, shapes.hulls(list(urdf.links))[0]))
         print("# what the arms can meet, and in what part of their postures they do\ncollision.pairs:")
         for pair, part in found.items():
             print(f'  - "{pair}"  # {100.0 * part:.1f} %')

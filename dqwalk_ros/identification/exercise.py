@@ -11,11 +11,15 @@ from __future__ import annotations
 
 import functools
 import math
+import pathlib
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
+from dqwalk_ros.paper.collisions import closest_on_segments
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import JointAngles
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
@@ -25,6 +29,8 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Walk, joint_limits
 from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.shapes import Shapes, capsule_around
+from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError
@@ -56,9 +62,11 @@ _REACH = 0.9
 """Largest angle of the other joints in a posture [rad]."""
 _TRIES = 80
 """Number of candidate postures for each joint."""
-_CLEAR, _NEAR = 0.85, 0.12
-"""Least distance of parts of the robot that are not neighbours: the first number times their distance in the zero
-posture, limited to the second number [m]."""
+_MORE = 1000
+"""The same, where none of these is clear of other links."""
+_CLEAR, _NEARER = 0.01, 0.005
+"""Least distance of links that are not neighbours, and by how much those that are nearer in the zero posture may
+approach each other [m]."""
 _LEAN = 1.2
 """Largest angle between a sole and the floor [rad]; a controller interprets a larger one as a fall."""
 
@@ -121,6 +129,7 @@ def slots(model: RobotModel, cycles: int) -> tuple[tuple[Slot, ...], ...]:
     """Return the slots of each limb in order, in the postures with the largest variation of the gravity torque.
 
     Limbs with fewer joints than the longest limb are exercised more than `cycles` times, each time in other postures.
+    In each slot and on the way to it the links keep clear of each other, those of other limbs included.
 
     Parameters
     ----------
@@ -135,16 +144,69 @@ def slots(model: RobotModel, cycles: int) -> tuple[tuple[Slot, ...], ...]:
     Raises
     ------
     ConfigError
-        If the range of a joint is too small.
+        If the range of a joint is too small, or it cannot move clear of other links.
     """
-    random, near, found = np.random.default_rng(0), _Clearance(model), limbs(model)
+    random, clearance, found = np.random.default_rng(0), _Clearance(model), limbs(model)
     most = max(map(len, found)) * cycles
-    return tuple(
-        tuple(_slot(model, joint, limb, random, near) for joint in limb * (most // len(limb))) for limb in found
-    )
+    out: list[list[Slot]] = [[] for _ in found]
+    here = np.zeros(model.n)
+    for k in range(most):
+        busy = [k < most // len(limb) * len(limb) for limb in found]
+        moves = _Moves(here, last=k == most - 1)
+        for i in sorted(range(len(found)), key=lambda i: busy[i]):  # first those that go back to zero
+            limb, own = found[i], out[i]
+            if busy[i]:
+                own.append(_slot(model, limb[k % len(limb)], limb, random, clearance, moves))
+                moves = moves.with_limb(limb, own[-1].posture, own[-1].joint, own[-1].sweep)
+            else:
+                moves = moves.with_limb(limb, np.zeros(model.n))
+        here = moves.posture
+    return tuple(map(tuple, out))
 
 
-def _slot(model: RobotModel, joint: int, limb: list[int], random: np.random.Generator, near: _Clearance) -> Slot:
+@dataclass(frozen=True)
+class _Moves:
+    """What the limbs do in one slot: they move from `begin` to `posture`, both (n,), then joints oscillate by `sweep`.
+
+    Attributes
+    ----------
+    limbs : tuple of int
+        First joints of the limbs whose motion is known.
+    last : bool
+        Whether they move to zero after this slot.
+    """
+
+    begin: Array
+    limbs: tuple[int, ...] = ()
+    target: Array | None = None
+    sweep: Array | None = None
+    last: bool = False
+
+    @property
+    def posture(self) -> Array:
+        """Angles about which the joints oscillate, shape (n,) [rad]."""
+        return self.begin if self.target is None else self.target
+
+    def with_limb(self, limb: list[int], posture: Array, joint: int = -1, sweep: float = 0.0) -> _Moves:
+        """Return these with the motion of one more limb."""
+        target = self.posture.copy()
+        target[limb] = posture[limb]
+        swept = np.zeros(len(target)) if self.sweep is None else self.sweep.copy()
+        if joint >= 0:
+            swept[joint] = sweep
+        return _Moves(self.begin, (*self.limbs, limb[0]), target, swept, self.last)
+
+    def samples(self) -> list[Array]:
+        """Return angles (n,) along the motion [rad]; all limbs move with the same timing."""
+        assert self.sweep is not None
+        found = [self.posture + s * self.sweep for s in (-1.0, 1.0, 0.0, -0.5, 0.5)]
+        found += [self.begin + s * (self.posture - self.begin) for s in np.linspace(0.1, 0.9, 9)]
+        return found + [s * self.posture for s in np.linspace(0.1, 0.9, 9) if self.last]
+
+
+def _slot(
+    model: RobotModel, joint: int, limb: list[int], random: np.random.Generator, clearance: _Clearance, moves: _Moves
+) -> Slot:
     low, high = model.q_min + _MARGIN, model.q_max - _MARGIN
     if high[joint] - low[joint] < 2.0 * _REVERSAL:
         raise ConfigError(
@@ -158,12 +220,16 @@ def _slot(model: RobotModel, joint: int, limb: list[int], random: np.random.Gene
     rest[limb] = np.clip(0.0, low, high)[limb]
     chain = {i: model.chain(next(b for b, body in enumerate(model.bodies) if body.joint == i)) for i in limb}
     line = [i for i in limb if chain[i][-1] in chain[joint] or chain[joint][-1] in chain[i]]
-    tries = np.tile(rest, (_TRIES, 1))
-    tries[1:, line] = random.uniform(low[line], high[line], (_TRIES - 1, len(line)))
-    for q in sorted(tries, key=lambda q: -_loaded(model, q, joint, sweep)):
-        if near(q, joint, sweep):
-            return Slot(joint, q, sweep)
-    return Slot(joint, rest, sweep)
+    for count in (_TRIES, _MORE):
+        tries = np.tile(rest, (count, 1))
+        tries[1:, line] = random.uniform(low[line], high[line], (count - 1, len(line)))
+        for q in sorted(tries, key=lambda q: -_loaded(model, q, joint, sweep)):
+            if clearance(moves.with_limb(limb, q, joint, sweep)):
+                return Slot(joint, q, sweep)
+    raise ConfigError(
+        f"no posture was found in which joint '{model.joint_names[joint]}' moves by {sweep:.2f} rad clear of other "
+        f"links, such as {clearance.nearest}; lock it (robot.lock)"
+    )
 
 
 def _loaded(model: RobotModel, q: Array, joint: int, sweep: float) -> float:
@@ -179,33 +245,67 @@ def _loaded(model: RobotModel, q: Array, joint: int, sweep: float) -> float:
 
 
 class _Clearance:
-    """Checks postures for self-collision and for soles that are inclined too much."""
+    """Checks motions for self-collision and for soles that are inclined too much.
+
+    Links are the capsules around their shapes, or points if no shape can be read. Those that more than two joints
+    connect keep `_CLEAR` apart or, where they are nearer in the zero posture, nearly as far as there.
+
+    Attributes
+    ----------
+    nearest : str
+        The two links that were too near last.
+    """
 
     def __init__(self, model: RobotModel) -> None:
-        self._model = model
-        chains = [set(model.chain(frame.body)) for frame in model.frames.values()]
-        far = [[len(a ^ b) > 2 for b in chains] for a in chains]  # more than two joints between them
-        self._pairs = np.triu(np.array(far))
-        self._least = _CLEAR * np.minimum(self._distances(np.zeros(model.n)), _NEAR)
+        self._model, self.nearest = model, "a sole that leans"
+        urdf = Urdf(model.urdf, model.name)
+        hulls, _ = Shapes(urdf, pathlib.Path()).hulls(list(urdf.links))
+        shapes = {name: capsule_around(corners) for name, corners in hulls.items()}
+        self._shapes = shapes or {name: (np.zeros(3), np.zeros(3), 0.0) for name in model.frames}
+        self._links = list(self._shapes)
+        chains = [model.chain(model.frames[name].body) for name in self._links]
+        first = [model.bodies[chain[1]].joint if len(chain) > 1 else -1 for chain in chains]  # of the limb
+        far = [(i, j) for j in range(len(chains)) for i in range(j) if len({*chains[i]} ^ {*chains[j]}) > 2]
+        self._pairs = np.array(far, dtype=np.int64).reshape(-1, 2)
+        self._limbs = np.array(first)[self._pairs]
+        radii = np.array([self._shapes[name][2] for name in self._links])
+        self._radii = radii[self._pairs].sum(axis=1)
+        zero = Kinematics(model, np.zeros(model.n), Foot.LEFT)
+        self._least = np.minimum(self._distances(zero) - _NEARER, _CLEAR)
 
-    def __call__(self, q: Array, joint: int, sweep: float) -> bool:
-        """Return whether the sweep of a joint about the posture `q` (n,) [rad] is free of collisions."""
-        there = q.copy()
-        for angle in (q[joint] - sweep, q[joint], q[joint] + sweep):
-            there[joint] = angle
-            if (self._distances(there) < self._least).any():
-                return False
-            kin = Kinematics(self._model, there, Foot.LEFT)
+    def __call__(self, moves: _Moves) -> bool:
+        """Return whether the last limb of a motion is clear of itself, of the limbs before it and of the root."""
+        known = np.isin(self._limbs, [-1, *moves.limbs]).all(axis=1) & (self._limbs == moves.limbs[-1]).any(axis=1)
+        for q in moves.samples():
+            kin = Kinematics(self._model, q, Foot.LEFT)
             up = kin.direction(self._model.root, Z)
             if any(kin.direction(sole.frame, Z) @ up < math.cos(_LEAN) for sole in self._model.soles.values()):
                 return False
+            near = known & (self._distances(kin) < self._least)
+            if near.any():
+                self.nearest = " and ".join(self._links[i] for i in self._pairs[int(np.argmax(near))])
+                return False
         return True
 
-    def _distances(self, q: Array) -> Array:
-        kin = Kinematics(self._model, q, Foot.LEFT)
-        p = np.array([kin.point(name) for name in self._model.frames])
-        out: Array = np.linalg.norm(p[:, None] - p[None], axis=2)[self._pairs]
-        return out
+    def _distances(self, kin: Kinematics) -> Array:
+        """Return the distances of the pairs [m]."""
+        ends = np.empty((len(self._links), 6))
+        for k, name in enumerate(self._links):
+            ends[k] = DQ(kin.pose(name)).transform_point(np.array(self._shapes[name][:2])).ravel()
+        apart: Array = _apart(ends, self._pairs) - self._radii
+        return apart
+
+
+@jit
+def _apart(ends: Array, pairs: NDArray[np.int64]) -> Array:
+    """Return the distances of pairs (k, 2) of segments with the given ends (m, 6) [m]."""
+    out = np.empty(pairs.shape[0])
+    for k in range(pairs.shape[0]):
+        one, other = ends[pairs[k, 0]], ends[pairs[k, 1]]
+        t, r = closest_on_segments(np.concatenate((one, other)))
+        w = one[:3] + t * (one[3:] - one[:3]) - other[:3] - r * (other[3:] - other[:3])
+        out[k] = math.sqrt(w @ w)
+    return out
 
 
 def _motion(sweep: float) -> Array:

@@ -105,6 +105,15 @@ def test_joints_of_a_limb_move_one_after_the_other_and_within_their_limits() -> 
         assert shaken[:, limb].any(axis=1).mean() > 0.6
 
 
+@pytest.mark.parametrize("name", ["legs", pytest.param("poppy", marks=pytest.mark.long)])
+def test_no_link_meets_another_one_during_the_exercise(name: str) -> None:
+    """Shins and feet pressed on each other for twenty seconds."""
+    from dqwalk_ros.plants.mujoco import own_contacts
+
+    model = LEGS if name == "legs" else dq.load_model(exercise_config(dq.load("poppy")).robot)
+    assert not own_contacts(model, path_of(model, 1)[::10])
+
+
 def test_a_held_robot_keeps_its_pelvis_pose_and_has_no_contacts(legs) -> None:
     physics = legs[0].physics
     np.testing.assert_allclose(physics.pelvis, np.tile(physics.pelvis[0], (len(legs[0]), 1)), atol=1e-12)
