@@ -13,6 +13,7 @@ from dqwalk_ros.adopt.parameters import Numbers, rounded
 from dqwalk_ros.adopt.servo_choice import Gait, largest_loads, own_servos, step
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.binding import Load, most_loaded
 from dqwalk_ros.report.causes import causes
@@ -21,17 +22,22 @@ from dqwalk_ros.report.verdict import violations
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.simulation import simulate
-from dqwalk_ros.support.errors import DqwalkError
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import DqwalkError, PlantError
 from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.table import make_controller
 
-__all__ = ["Trial", "best", "cures", "dynamic_walks", "first_walks", "too_much", "walk"]
+__all__ = ["Trial", "best", "cures", "dynamic_walks", "first_walks", "legs_touching", "too_much", "walk"]
 
 
 _LOADED = 0.01
 """Least part of a torque-speed line that is reported: joints without torque limit need less."""
 _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
+_EVERY = 10
+"""Number of states of which one is searched for links that touch each other."""
+_BOTH = {(True, False), (False, True)}
+"""A link of the left and one of the right leg."""
 _YIELDS, _LEADS = 0.4, 0.5
 """Factors of ``servo.window`` and ``servo.assumed_lead`` that may cure a dynamic walk."""
 
@@ -58,6 +64,9 @@ class Trial:
         Causes of a fall, the earliest first.
     load : Load or None
         The servo that is closest to its torque-speed line, in physics.
+    touching : str
+        Which links of one leg meet those of the other, which no engine simulates; empty if none does, or if MuJoCo
+        cannot read the shapes.
     changes : dict of str to value
         The parameters that were changed after earlier walks.
     """
@@ -70,6 +79,7 @@ class Trial:
     violations: int = 0
     causes: tuple[Finding, ...] = ()
     load: Load | None = None
+    touching: str = ""
     changes: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -77,7 +87,8 @@ class Trial:
             return f"{self.plant}: {self.note}" + "".join(f"; it fell because: {cause}" for cause in self.causes[:1])
         short = f" instead of {self.planned:.3f} m" if self.distance < _SHORT * self.planned else ""
         load = f", {self.load}" if self.load and self.load.part > _LOADED else ""
-        return f"{self.plant}: walked {self.distance:.3f} m{short}{load}" + (f", but {self.note}" if self.note else "")
+        but = "; ".join(text for text in (self.note, self.touching) if text)
+        return f"{self.plant}: walked {self.distance:.3f} m{short}{load}" + (f", but {but}" if but else "")
 
 
 def first_walks(
@@ -194,7 +205,28 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
         return Trial(plant, False, _distance(trace), planned, "; ".join(trace.notes), causes=tuple(causes(series)))
     found = violations(series)
     note = f"{found[0].message}" + (f", and {len(found) - 1} more" if len(found) > 1 else "") if found else ""
-    return Trial(plant, True, _distance(trace), planned, note, len(found), load=most_loaded(trace))
+    touching = legs_touching(model, trace.q[::_EVERY]) if plant == "physics" else ""
+    return Trial(plant, True, _distance(trace), planned, note, len(found), load=most_loaded(trace), touching=touching)
+
+
+def legs_touching(model: RobotModel, q: Array) -> str:
+    """Return which links of the legs meet in the states q (N, n), and in what part of them; empty if none does."""
+    from dqwalk_ros.plants.mujoco import own_contacts  # needs the engine
+
+    left, right = (set(model.chain(model.frames[model.soles[foot].frame].body)) for foot in Foot)
+    of = {name: (frame.body in left - right, frame.body in right - left) for name, frame in model.frames.items()}
+    try:
+        met = own_contacts(model, q)
+    except PlantError:
+        return ""
+    pairs = {pair: count for pair, count in met.items() if {of[link] for link in pair.split(", ")} == _BOTH}
+    if not pairs:
+        return ""
+    worst = max(pairs, key=lambda pair: pairs[pair])
+    return (
+        f"the legs meet ({worst.replace(', ', ' and ')} in {100.0 * pairs[worst] / len(q):.0f} % of the states), which "
+        "is not simulated: collision.pairs keeps them apart"
+    )
 
 
 def _distance(trace: Trace) -> float:

@@ -18,7 +18,7 @@ from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt, trial
 from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
-from dqwalk_ros.adopt.trial import Trial, dynamic_walks, too_much
+from dqwalk_ros.adopt.trial import Trial, dynamic_walks, legs_touching, too_much
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -358,3 +358,13 @@ def test_adopt_refuses_a_file_as_its_folder_at_once(tmp_path: Path, capsys: pyte
 def test_a_missing_robot_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot read"):
         adopt(tmp_path / "nowhere.urdf", tmp_path)
+
+
+def test_a_trial_in_which_the_legs_meet_says_so() -> None:
+    model = load_model(load("poppy").robot)
+    standing, crossed, arm = (
+        model.posture([*load("poppy").standing.posture, *more])
+        for more in ([], ["?_hip_z=0.5", "l_hip_x=-0.3"], ["abs_z=0.3"])
+    )
+    assert "l_shin and r_shin in 50 % of the states" in legs_touching(model, np.array([standing, crossed] * 4))
+    assert not legs_touching(model, np.array([standing, arm]))

@@ -769,6 +769,7 @@ def test_a_trial_says_what_was_walked_and_what_its_report_finds() -> None:
         (Trial("physics", True, 0.59, 0.6, ""), "physics: walked 0.590 m".__eq__),
         (Trial("physics", True, 0.2, 0.6, ""), "physics: walked 0.200 m instead of 0.600 m".__eq__),
         (Trial("physics", True, 0.6, 0.6, "a sole"), "physics: walked 0.600 m, but a sole".__eq__),
+        (Trial("physics", True, 0.6, 0.6, "", touching="shins"), "physics: walked 0.600 m, but shins".__eq__),
         (Trial("physics", True, 0.6, 0.6, "", load=Load(1e-3, "l_knee", 1.0)), "physics: walked 0.600 m".__eq__),
         (
             Trial("physics", True, 0.6, 0.6, "", load=Load(0.731, "l_knee", 1.0)),
