@@ -222,7 +222,7 @@ def legs_touching(model: RobotModel, q: Array) -> str:
     pairs = {pair: count for pair, count in met.items() if {of[link] for link in pair.split(", ")} == _BOTH}
     if not pairs:
         return ""
-    worst = max(pairs, key=lambda pair: pairs[pair])
+    worst = min(pairs, key=lambda pair: (-pairs[pair], pair))
     return (
         f"the legs meet ({worst.replace(', ', ' and ')} in {100.0 * pairs[worst] / len(q):.0f} % of the states), which "
         "is not simulated: collision.pairs keeps them apart"
