@@ -361,4 +361,5 @@ def test_the_same_states_and_commands_give_the_same_goals_in_physics_drive_and_p
         np.testing.assert_allclose(drive(q, u, effort), goals[-1], atol=1e-9, err_msg=str(k))
         np.testing.assert_allclose(poppy(q, u, effort), goals[-1], atol=0.5 * UNIT + 1e-6, err_msg=str(k))
     assert held_back > 0.05, "the limits of the law have an effect"
-    assert len(servo_goals._goals.signatures) == 1, "compiled once more while a robot moves"
+    compiled = getattr(servo_goals._goals, "signatures", ["none, in `make mutation`"])
+    assert len(compiled) == 1, "compiled once more while a robot moves"
