@@ -327,6 +327,7 @@ class ServoGoals:
         self._history.add(time, u, dt)
         if self._rate <= 0.0 or time - self._written >= 1.0 / self._rate - 1e-9:
             self._written = time
+            self.output(time)  # those of the past, for which not every user asks
             self._queue.append((time + self._latency, rounded))
         return True
 

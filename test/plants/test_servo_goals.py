@@ -53,6 +53,19 @@ def test_goals_are_delayed_and_held() -> None:
     np.testing.assert_allclose(seen, steps, atol=1e-12)
 
 
+def test_goals_for_which_nobody_asks_are_not_kept() -> None:
+    """A controller judges each command by this law, and asks for no goal; it walks for hours."""
+    kept = []
+    for count in (20, 200):
+        law = law_of(settings(latency=0.02), np.zeros(N), simulated=True)
+        for k in range(count):
+            law.measure(np.zeros(N), DT * k)
+            law.command(np.full(N, 0.1), None, DT * k, DT)
+        kept.append(len(law._queue))
+    assert kept == [4, 4]
+    np.testing.assert_allclose(law.output(DT * k)[0], law.wanted - 4 * 0.1 * DT, atol=1e-12)
+
+
 def test_the_goals_of_simulated_servos_are_rounded() -> None:
     law = law_of(CONFIG.updated({"servo.resolution": 0.01}), np.zeros(N), simulated=True)
     law.command(np.full(N, 1.2), None, 0.0, DT)  # 0.006 rad
