@@ -277,7 +277,7 @@ class ArmsConfig:
         0.0, "length that weights a hand's orientation; 0: only its position counts", "m/rad", 0.0, 10.0
     )
     joint_speed: float = parameter(
-        1.0, "largest speed of a joint by a trajectory or posture; larger: it topples the robot", "rad/s", 0.01, 100.0
+        1.0, "largest speed of a joint of an arm; larger: quicker, it may topple the robot", "rad/s", 0.01, 100.0
     )
     hand_speed: float = parameter(0.2, "largest speed at which an error of a hand is corrected", "m/s", 0.001, 10.0)
     timeout: float = parameter(

@@ -479,7 +479,7 @@ class Arms:
         solve : callable
             Returns the solution of a program.
         """
-        problem, of_arms = now.problem, self._of_arms(now.problem)
+        problem, of_arms = self._slowed(now.problem), self._of_arms(now.problem)
         if not of_arms.any():
             return solve(problem)
         if not self._time - self._pressed < _FREE:
@@ -504,6 +504,13 @@ class Arms:
         c = walk_c.copy()
         c[arms] -= weight * solution.u[arms]
         return solve(problem._replace(H=walk_H, c=c))
+
+    def _slowed(self, problem: Problem) -> Problem:
+        """Return a program in which no joint of an arm is quicker than allowed, such as that of a stretched elbow."""
+        lower, upper = problem.lower.copy(), problem.upper.copy()
+        for bound in (lower, upper):
+            bound[self._joints] = np.clip(bound[self._joints], -self._fastest, self._fastest)
+        return problem._replace(lower=lower, upper=upper)
 
     def _of_arms(self, problem: Problem) -> NDArray[np.bool_]:
         """Return which rows of a program keep a link of an arm from others, shape (l + m,)."""
