@@ -29,6 +29,8 @@ def main() -> None:
     ends, rows = [], []
     for name in ("clarabel", "daqp"):
         controller = make_controller(config.updated({"qp.solver": name}), model)
+        simulate(controller, KinematicPlant(model), max_time=10 * config.dt)  # compiles
+        controller.reset()
         began, spent = time.perf_counter(), time.process_time()
         trace = simulate(controller, KinematicPlant(model), max_time=args.ticks * config.dt)
         spent, began = time.process_time() - spent, time.perf_counter() - began

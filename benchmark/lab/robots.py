@@ -90,7 +90,9 @@ def main() -> int:
             refused.append(f"- `{file.name}`: {error}")
     head = ["robot", "kg", "adopted in [s]", "cure", "way [m]", "m/s", "tilt [deg]", "CoP inside [%]", "turned [deg]",
             "stands", "paper's walk", "dynamic walk [m/s]"]  # fmt: skip
-    print(f"\n{machine()}\n\n{table(head, rows)}\n\nNot adopted:\n\n" + "\n".join(refused))
+    print(f"\n{machine()}\n\n{table(head, rows)}")
+    if refused:
+        print("\nNot adopted:\n\n" + "\n".join(refused))
     return 0 if rows else 1
 
 
