@@ -321,6 +321,8 @@ class Arms:
         self._low, self._high = model.q_min[self._joints] + margin, model.q_max[self._joints] - margin
         self._fastest = np.minimum(model.velocity_max[self._joints], min(most, a.joint_speed))
         named = {"left": a.left_hand, "right": a.right_hand}
+        if a.left_hand and a.left_hand == a.right_hand:
+            raise ConfigError(f"arms.left_hand and arms.right_hand are both '{a.left_hand}'")
         self.hands = {side: self._hand(side, link) for side, link in named.items() if link}
         self._paths: dict[int, tuple[JointPath, float]] = {}  # path and its beginning [s], by the place in `names`
         self._asked: list[tuple[int, JointPath, float | None]] = []  # since the last state

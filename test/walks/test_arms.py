@@ -346,6 +346,7 @@ def test_poses_in_other_links_are_refused(frame: str) -> None:
     [
         ({"arms.joints": ("l_tail",)}, "arms.joints names 'l_tail'"),
         ({"arms.left_hand": "l_foot"}, "arms.left_hand is 'l_foot', which no joint of arms.joints moves"),
+        ({"arms.left_hand": "r_hand"}, "arms.left_hand and arms.right_hand are both 'r_hand'"),
         ({"arms.left_hand": "claw"}, "arms.left_hand is 'claw', and the robot has no such link"),
         ({"arms.joints": ("?_elbow_y", "?_knee_y")}, "arms.joints names l_knee_y, r_knee_y of the legs"),
         ({"standing.posture": ("l_knee_y=9",)}, "standing.posture is outside the joint limits: l_knee_y by"),
