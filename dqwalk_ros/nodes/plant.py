@@ -8,6 +8,7 @@ commands, as hardware does.
 from __future__ import annotations
 
 import argparse
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ _FIRST_ASK = 0.05
 """The same before the first command [s], while the controller may still be starting."""
 _PUSH = 0.1
 """Duration of a push [s], in simulated time, rounded to whole periods."""
+_JUDGED = 500_000
+"""Number of the last ticks whose delays are reported at the end."""
 _MAX_SPEED = 10.0
 """Largest change of the robot's velocity by a push [m/s]."""
 
@@ -252,7 +255,7 @@ class Physics(SimulatedPlant):
         super().__init__("physics", options, **keywords)
         self._streams = {name: self.advertise(name) for name in TOPICS if TOPICS[name].source == "physics"}
         self._true_angles = ros.JointWriter(self.model.joint_names)
-        self._late: list[float] = []  # delay of each tick while commands arrive [s]
+        self._late: deque[float] = deque(maxlen=_JUDGED)  # delay of each tick while commands arrive [s]
         self._stamp0 = self.get_clock().now().nanoseconds
         self._pushed_until = -1  # tick
         self._max_impulse = _MAX_SPEED * self.model.mass  # [N s]
