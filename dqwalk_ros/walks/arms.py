@@ -508,10 +508,18 @@ class Arms:
         return solve(problem._replace(H=walk_H, c=c))
 
     def _slowed(self, problem: Problem) -> Problem:
-        """Return a program in which no joint of an arm is quicker than allowed, such as that of a stretched elbow."""
-        lower, upper = problem.lower.copy(), problem.upper.copy()
+        """Return a program in which no joint with a command is quicker than allowed, such as a stretched elbow."""
+        places = [*self._paths, *(one for hand in self.hands.values() if hand.pose is not None for one in hand.joints)]
+        if not places:
+            return problem
+        joints, most, lower, upper = (
+            self._joints[places],
+            self._fastest[places],
+            problem.lower.copy(),
+            problem.upper.copy(),
+        )
         for bound in (lower, upper):
-            bound[self._joints] = np.clip(bound[self._joints], -self._fastest, self._fastest)
+            bound[joints] = np.clip(bound[joints], -most, most)
         return problem._replace(lower=lower, upper=upper)
 
     def _of_arms(self, problem: Problem) -> NDArray[np.bool_]:
