@@ -426,12 +426,16 @@ class FrameHeld(Constraint):
     ----------
     frame : str
     pose : ndarray, shape (8,)
-        x_d in the base frame.
+        x_d in the base frame, until `hold` replaces it.
     """
 
     frame: str
     pose: Array
     function = held
+
+    def hold(self, place: Array) -> None:
+        """Hold the frame at another place (7,), position [m] and unit quaternion, from the next state on."""
+        self.parameters[:] = place
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -442,6 +446,11 @@ class FrameHeld(Constraint):
     def parameters(self) -> Array:
         """Position and orientation, shape (7,)."""
         return np.array([*DQ(self.pose).translation(), *self.pose[:4]])
+
+    @property
+    def live(self) -> Array:
+        """All parameters, which `hold` changes."""
+        return self.parameters
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """One name per axis, translation first."""

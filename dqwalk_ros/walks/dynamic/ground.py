@@ -44,6 +44,10 @@ class Ground:
         along = other.points(self._vertical[:2]) - other.points(np.zeros(2))
         self._vertical = np.array([*along, self._vertical[2]])
 
+    def inclination(self, up: Array) -> float:
+        """Return the inclination of the sole with the vertical `up` (3,) against the ground, if small [rad]."""
+        return float(np.linalg.norm(up - self._vertical))
+
     def tip(self, up: Array, unsure: float) -> Array:
         """Return the rotation from a flat sole's axes to those of the sole with the vertical `up` (3,), vec8 (8,).
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.load import share_of
+from dqwalk_ros.paper.constraints import FrameHeld
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMass, CenterOfMassOnGround, Direction, JointAngles
 from dqwalk_ros.paper.foot import Foot
@@ -52,6 +53,8 @@ _TOLERANT = 0.02
 """Delay at which the error threshold of the step adjustment is doubled [s]."""
 _TIP_TOLERANCE_PER_DELAY = math.radians(60.0)
 """A sole counts as tipping from this inclination on, times (delay - one period) [rad/s]."""
+_TIPPED = math.radians(1.0)
+"""Inclination against the ground above which a sole has been tipped by a push, and not by noise [rad]."""
 _RESIDUAL = 0.002
 """Error above which the path of the CoM approaches the measured CoM [m]."""
 _APPROACH = 0.1
@@ -133,6 +136,7 @@ class DynamicWalk(SteppingWalk):
         self._ground: Ground
         self._reference: Reference
         self._flight: _Flight | None = None
+        self._tipped: Array | None = None  # the least inclined vertical since a foot landed beside a tipped sole
         self._transfer = config.standing.transfer_duration  # planned duration of the current double support [s]
         self._pushed = self._pausing = False
         self._rests = False  # whether a stance has brought the CoM to rest
@@ -343,6 +347,8 @@ class DynamicWalk(SteppingWalk):
         if phase is not self._known:
             self._begin(phase, kin)
         self._ground.observe(up, dt)
+        if self._tipped is not None:
+            self._keep_on_ground(phase, self._tipped, up)
         assert isinstance(phase.rule, Timed)
         t = state.elapsed + phase.rule.begun
         self._rests = t >= phase.rule.duration
@@ -374,6 +380,19 @@ class DynamicWalk(SteppingWalk):
         self._targets["height"].set(self._height + above, np.array([rising]))
         self._targets["upright"].set(up[:2], np.zeros(2))
         return change
+
+    def _keep_on_ground(self, phase: Phase, least: Array, up: Array) -> None:
+        """Hold the foot that has landed in the plane of the ground while the base sole, which was tipped, comes down.
+
+        In the plane of the tipped sole it would be lifted again, and bear no weight. As soon as the base sole itself
+        bears none, its inclination is that of the legs, so the least one since the landing counts.
+        """
+        if self._ground.inclination(up) < self._ground.inclination(least):
+            self._tipped = least = up
+        for held in phase.equalities:
+            if isinstance(held, FrameHeld):
+                x = held.pose
+                held.hold(turned(self._ground.tip(least, 0.0), np.array([*DQ(x).translation(), *x[:4]])))
 
     @staticmethod
     def _share(phase: Phase, state: State) -> float:
@@ -450,6 +469,8 @@ class DynamicWalk(SteppingWalk):
             self._now.change_base(other)
             self._climb.end += level  # over the new base sole
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
+        landed = before is not None and before.kind is PhaseKind.SINGLE_SUPPORT and before.base is phase.base
+        self._tipped = kin.up if landed and self._ground.inclination(kin.up) > _TIPPED else None
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
         self._flight = None
         corners, omega, rule = self.model.soles[phase.base].corners[:, :2], self.pendulum.omega, phase.rule
