@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.collisions import closest_on_segments
+from dqwalk_ros.paper.collisions import segments_apart
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -46,15 +46,17 @@ def pairs_of_arms(config: Config, model: RobotModel, hulls: Mapping[str, Array])
     moved = {link: any(model.bodies[b].joint in joints for b in model.chain(body[link])) for link in hulls}
     shapes = {link: capsule_around(corners) for link, corners in hulls.items()}
     links = sorted(hulls, key=lambda link: (not moved[link], link))
-    pairs = [
-        (one, other)
+    found = [
+        (i, j)
         for i, one in enumerate(links)
-        for other in links[i + 1 :]
+        for j, other in enumerate(links[i + 1 :], start=i + 1)
         if moved[one]
         and body[one] != body[other]
         and model.bodies[body[one]].parent != body[other]
         and model.bodies[body[other]].parent != body[one]
     ]
+    pairs = np.array(found, dtype=np.int64).reshape(-1, 2)
+    radii = np.array([shapes[link][2] for link in links])[pairs].sum(axis=1)
     rng = np.random.default_rng(0)
     met = np.zeros(len(pairs))
     nearly, beside = np.zeros((2, len(pairs)), dtype=bool)
@@ -63,18 +65,11 @@ def pairs_of_arms(config: Config, model: RobotModel, hulls: Mapping[str, Array])
         if k:
             q[joints] = rng.uniform(model.q_min[joints], model.q_max[joints])
         kin = Kinematics(model, q, Foot.LEFT)
-        poses = {link: DQ(kin.pose(link)) for link in links}
-        ends = {link: poses[link].transform_point(np.array(shapes[link][:2])).ravel() for link in links}
-        apart = np.array([_distance(ends[a], ends[b]) - shapes[a][2] - shapes[b][2] for a, b in pairs])
+        ends = [DQ(kin.pose(link)).transform_point(np.array(shapes[link][:2])).ravel() for link in links]
+        apart = segments_apart(np.array(ends).reshape(-1, 6), pairs) - radii
         if not k:
             beside = apart < margin
         nearly |= (apart < margin + _NEARLY) & ~beside
         met += apart < margin
-    parts = zip(pairs, met.tolist(), nearly.tolist(), strict=True)
-    return {f"{a}={b}": count / _POSTURES for (a, b), count, kept in parts if kept}
-
-
-def _distance(one: Array, other: Array) -> float:
-    """Return the distance of two segments, of which the ends are given, (6,) each [m]."""
-    t, r = closest_on_segments(np.concatenate([one, other]))
-    return float(np.linalg.norm(one[:3] + t * (one[3:] - one[:3]) - other[:3] - r * (other[3:] - other[:3])))
+    parts = zip(found, met.tolist(), nearly.tolist(), strict=True)
+    return {f"{links[i]}={links[j]}": count / _POSTURES for (i, j), count, kept in parts if kept}

@@ -15,10 +15,9 @@ import pathlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.collisions import closest_on_segments
+from dqwalk_ros.paper.collisions import segments_apart
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import JointAngles
 from dqwalk_ros.paper.foot import Foot
@@ -292,20 +291,8 @@ class _Clearance:
         ends = np.empty((len(self._links), 6))
         for k, name in enumerate(self._links):
             ends[k] = DQ(kin.pose(name)).transform_point(np.array(self._shapes[name][:2])).ravel()
-        apart: Array = _apart(ends, self._pairs) - self._radii
+        apart: Array = segments_apart(ends, self._pairs) - self._radii
         return apart
-
-
-@jit
-def _apart(ends: Array, pairs: NDArray[np.int64]) -> Array:
-    """Return the distances of pairs (k, 2) of segments with the given ends (m, 6) [m]."""
-    out = np.empty(pairs.shape[0])
-    for k in range(pairs.shape[0]):
-        one, other = ends[pairs[k, 0]], ends[pairs[k, 1]]
-        t, r = closest_on_segments(np.concatenate((one, other)))
-        w = one[:3] + t * (one[3:] - one[:3]) - other[:3] - r * (other[3:] - other[:3])
-        out[k] = math.sqrt(w @ w)
-    return out
 
 
 def _motion(sweep: float) -> Array:

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import Constraint, Region, facing
@@ -35,6 +36,7 @@ __all__ = [
     "PointOverMovingPlane",
     "capsules_in",
     "closest_on_segments",
+    "segments_apart",
 ]
 
 _TINY = 1e-12
@@ -76,6 +78,18 @@ def closest_on_segments(s):  # type: ignore[no-untyped-def]
         if e @ e < best:
             best, at = e @ e, (t, r)
     return at
+
+
+@jit
+def segments_apart(ends: Array, pairs: NDArray[np.int64]) -> Array:
+    """Return the distances of pairs (k, 2) of segments with the given ends (m, 6) [m], shape (k,)."""
+    out = np.empty(pairs.shape[0])
+    for k in range(pairs.shape[0]):
+        one, other = ends[pairs[k, 0]], ends[pairs[k, 1]]
+        t, r = closest_on_segments(np.concatenate((one, other)))
+        w = one[:3] + t * (one[3:] - one[:3]) - other[:3] - r * (other[3:] - other[:3])
+        out[k] = math.sqrt(w @ w)
+    return out
 
 
 @jit

@@ -19,6 +19,7 @@ from dqwalk_ros.paper.collisions import (
     closest_on_segments,
     lines_apart,
     outside_line,
+    segments_apart,
 )
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Direction, Point
@@ -72,6 +73,7 @@ def test_segments_have_the_distance_that_a_bounded_least_squares_solver_finds(ki
         A = np.column_stack([b - a, c - d])
         expected = np.linalg.norm(A @ lsq_linear(A, c - a, (0.0, 1.0), tol=1e-14).x - (c - a))
         assert capsules_apart(s, np.array([0.3]), 0.0)[0][0] == pytest.approx(expected - 0.3, abs=1e-8)
+        assert segments_apart(s.reshape(2, 6), np.array([[1, 0]]))[0] == pytest.approx(expected, abs=1e-8)
         assert all(0.0 <= fraction <= 1.0 for fraction in closest_on_segments(s))
 
 
