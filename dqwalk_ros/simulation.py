@@ -51,7 +51,8 @@ def warm_up(config: Config, model: RobotModel) -> None:
         kin = Kinematics(model, state.q, Foot.LEFT)
         if not config.plant.imu:
             controller.step(replace(state, dq=np.zeros(model.n), effort=effort), config.dt)
-            walk, phase = make_walk(config, model), None
+            controller.reset()  # and prepares the walk
+            walk, phase = controller.walk, None
             for _ in range(_WARM_PHASES):
                 if (begins := walk.following(phase, kin)) is not None:
                     phase = walk.phase(begins.kind, begins.support, state.q, begins.swing_target)

@@ -21,6 +21,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.robot.servos import Drive
@@ -544,6 +545,13 @@ def test_warming_up_evaluates_every_kind_of_phase(
     warm_up(overlaid(dq.load(name), plant).updated(changes), MODEL)
     assert {PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT} <= set(evaluated)
     assert loads[0] is not None
+
+
+def test_warming_up_evaluates_a_walk_that_is_prepared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A walk of its own, in whose `observe` an attribute is missing, would end the node before it begins."""
+    monkeypatch.setattr(Walk, "prepare", lambda walk: setattr(walk, "known", None))
+    monkeypatch.setattr(Walk, "observe", lambda walk, *_: walk.known)
+    warm_up(dq.load("paper"), dq.load_model(dq.load("paper").robot))
 
 
 # ---------------------------------------------------------------------- tasks
