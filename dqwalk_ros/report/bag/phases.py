@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -117,9 +118,10 @@ def _by_time(
     another clock than that of the stamps belong to no phase.
     """
     named: dict[int, _Name | None] = {}
-    rest, before = [], None
+    rest, before, stamps = [], None, sorted(begun)
     for time, name in labels:
-        stamp = min(begun, key=lambda one: abs(one - time))
+        k = bisect.bisect(stamps, time)
+        stamp = min(stamps[max(k - 1, 0) : k + 1], key=lambda one: abs(one - time))
         if stamp not in named and abs(stamp - time) < _TOGETHER:
             named[stamp] = name
         elif name != before:
