@@ -47,10 +47,13 @@ def deferred_interrupts() -> Iterator[list[signal.Signals]]:
 @contextlib.contextmanager
 def postponed_interrupts() -> Iterator[None]:
     """Let a first SIGINT, SIGTERM or SIGHUP act at the end of the context, such as an import that would lose it."""
-    with deferred_interrupts() as received:
-        yield
-    for number in received:
-        signal.raise_signal(number)
+    received: list[signal.Signals] = []
+    try:
+        with deferred_interrupts() as received:
+            yield
+    finally:
+        for number in received:
+            signal.raise_signal(number)
 
 
 @contextlib.contextmanager

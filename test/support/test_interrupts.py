@@ -18,6 +18,7 @@ from dqwalk_ros.adopt import trial
 from dqwalk_ros.config import load
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.simulation import closed_loop, simulate
+from dqwalk_ros.support.interrupts import postponed_interrupts
 from dqwalk_ros.walks.table import make_controller
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,6 +100,17 @@ def test_an_interrupt_while_a_program_imports_its_modules_ends_it_silently(progr
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, b"", b"")
+
+
+def test_an_interrupt_is_not_lost_where_what_is_protected_from_it_fails():
+    def fails():
+        with postponed_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            raise ImportError
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        fails()
+    assert isinstance(caught.value.__context__, ImportError)
 
 
 def test_an_interrupt_while_yourdfpy_is_imported_is_not_lost():
