@@ -512,15 +512,9 @@ class Arms:
         places = [*self._paths, *(one for hand in self.hands.values() if hand.pose is not None for one in hand.joints)]
         if not places:
             return problem
-        joints, most, lower, upper = (
-            self._joints[places],
-            self._fastest[places],
-            problem.lower.copy(),
-            problem.upper.copy(),
-        )
-        for bound in (lower, upper):
-            bound[joints] = np.clip(bound[joints], -most, most)
-        return problem._replace(lower=lower, upper=upper)
+        most = np.full(self._model.n, np.inf)
+        most[self._joints[places]] = self._fastest[places]
+        return problem._replace(lower=np.clip(problem.lower, -most, most), upper=np.clip(problem.upper, -most, most))
 
     def _of_arms(self, problem: Problem) -> NDArray[np.bool_]:
         """Return which rows of a program keep a link of an arm from others, shape (l + m,)."""

@@ -82,7 +82,7 @@ def make_controller(config: Config, model: RobotModel) -> VelocityController:
         dynamic walk.
     """
     left, right = model.joints_to_soles(model.pelvis)
-    if abs(left - right) > (left + right) % 2:
+    if abs(left - right) > 1:  # one, where a leg has a joint more than the other
         raise ConfigError(
             f"robot.pelvis is '{model.pelvis}', which is part of a leg: {left} joints move it against the left sole, "
             f"{right} against the right one; name the link that carries both legs, and a sole at the end of each"
