@@ -93,6 +93,7 @@ class VelocityController:
         self.error = math.nan
         self.problem: Problem | None = None
         self.solution: Solution | None = None
+        self._solved: list[Solution] = []  # for the last command: several while an arm presses on the body
         self._phase: Phase | None = None
         self.kin: Kinematics | None = None
         self.loads: Array | None = None
@@ -126,13 +127,13 @@ class VelocityController:
 
     @property
     def solve_time(self) -> float:
-        """Time taken by the solver for the last command [s]; nan without one."""
-        return self.solution.solve_time if self.solution is not None else math.nan
+        """Time taken by the solver for all programs of the last command [s]; nan without one."""
+        return sum(one.solve_time for one in self._solved) if self.solution is not None else math.nan
 
     @property
     def iterations(self) -> int:
-        """Number of iterations of the solver for the last command; 0 without one."""
-        return self.solution.iterations if self.solution is not None else 0
+        """Number of iterations of the solver for all programs of the last command; 0 without one."""
+        return sum(one.iterations for one in self._solved) if self.solution is not None else 0
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -217,6 +218,7 @@ class VelocityController:
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
         state.elapsed += self.predictor.drive.delay
+        self._solved = []
         self.solution = self._active.solved(now, self._solve)
         assert self.problem is not None  # the last one solved
         u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
@@ -325,15 +327,17 @@ class VelocityController:
         """Return the solution of (U6), or, if it is infeasible, of the problem with a slower return (`lead_back`)."""
         self.problem = problem
         try:
-            return self._solver.solve(problem)
+            solution = self._solver.solve(problem)
         except QPError as error:
             if not error.status.endswith("Infeasible"):
                 raise
             try:
                 self.problem, _ = lead_back(problem)
-                return self._solver.solve(self.problem)
+                solution = self._solver.solve(self.problem)
             except QPError:
                 raise explained(error, problem) from error
+        self._solved.append(solution)
+        return solution
 
 
 @jit
