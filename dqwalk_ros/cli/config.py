@@ -91,8 +91,6 @@ def _check(name: str, made: Config) -> int:
 
 def _capsules(made: Config) -> int:
     """Print the capsules around the shapes of the links that are kept apart, without pairs those that the arms meet."""
-    from pathlib import Path
-
     from dqwalk_ros.adopt.own_bodies import pairs_of_arms
     from dqwalk_ros.robot.model import find_urdf, load_model
     from dqwalk_ros.robot.shapes import Shapes, capsule_around
@@ -100,10 +98,14 @@ def _capsules(made: Config) -> int:
 
     model = load_model(made.robot)
     urdf = Urdf(model.urdf, model.name)
-    shapes = Shapes(urdf, find_urdf(made.robot.urdf) or Path(made.robot.urdf))
+    shapes = Shapes(urdf, find_urdf(made.robot.urdf))
     pairs = made.collision.pairs
     if not pairs and made.arms.joints:
         pairs = tuple(found := pairs_of_arms(made, model, shapes.hulls(list(urdf.links))[0]))
+        for mesh, reason in shapes.missing.items():
+            print(f"# without {mesh}: {reason}")
+        if not found:
+            raise ConfigError("the arms meet no link whose shape can be read: collision.pairs are not needed")
         print("# what the arms can meet, and in what part of their postures they do\ncollision.pairs:")
         for pair, part in found.items():
             print(f'  - "{pair}"  # {100.0 * part:.1f} %')

@@ -246,7 +246,7 @@ def _loaded(model: RobotModel, q: Array, joint: int, sweep: float) -> float:
 class _Clearance:
     """Checks motions for self-collision and for soles that are inclined too much.
 
-    Links are the capsules around their shapes, or points if no shape can be read. Those that more than two joints
+    Links are the capsules around their shapes, or points if these cannot be read. Those that more than two joints
     connect keep `_CLEAR` apart or, where they are nearer in the zero posture, nearly as far as there.
 
     Attributes
@@ -258,9 +258,11 @@ class _Clearance:
     def __init__(self, model: RobotModel) -> None:
         self._model, self.nearest = model, "a sole that leans"
         urdf = Urdf(model.urdf, model.name)
-        hulls, _ = Shapes(urdf, pathlib.Path()).hulls(list(urdf.links))
-        shapes = {name: capsule_around(corners) for name, corners in hulls.items()}
-        self._shapes = shapes or {name: (np.zeros(3), np.zeros(3), 0.0) for name in model.frames}
+        shapes = Shapes(urdf, pathlib.Path())
+        hulls, _ = shapes.hulls(list(urdf.links))
+        points = [name for name in urdf.links if name not in hulls and (not hulls or shapes.unread([name]))]
+        self._shapes = {name: capsule_around(corners) for name, corners in hulls.items()}
+        self._shapes |= {name: (np.zeros(3), np.zeros(3), 0.0) for name in points}
         self._links = list(self._shapes)
         chains = [model.chain(model.frames[name].body) for name in self._links]
         first = [model.bodies[chain[1]].joint if len(chain) > 1 else -1 for chain in chains]  # of the limb

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from dqwalk_ros import cli
 from dqwalk_ros.cli.identify import table
 from dqwalk_ros.config import Config, from_yaml, overlaid, with_files
 from dqwalk_ros.identification import fit
-from dqwalk_ros.identification.exercise import exercise_config, limbs, path_of
+from dqwalk_ros.identification.exercise import _Clearance, exercise_config, limbs, path_of
 from dqwalk_ros.identification.replay import replay
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Sensors
@@ -112,6 +113,13 @@ def test_no_link_meets_another_one_during_the_exercise(name: str) -> None:
 
     model = LEGS if name == "legs" else dq.load_model(exercise_config(dq.load("poppy")).robot)
     assert not own_contacts(model, path_of(model, 1)[::10])
+
+
+def test_a_link_whose_shape_cannot_be_read_is_kept_clear_of_as_a_point() -> None:
+    head, name, rest = LEGS.urdf.partition('<link name="l_foot">')
+    broken = re.sub(r"<box [^>]*/>", '<mesh filename="nowhere.stl" />', rest.split("</link>")[0])
+    robot = dataclasses.replace(LEGS, urdf=head + name + "</link>".join([broken, *rest.split("</link>")[1:]]))
+    assert set(_Clearance(robot)._links) == set(_Clearance(LEGS)._links)
 
 
 def test_a_held_robot_keeps_its_pelvis_pose_and_has_no_contacts(legs) -> None:
