@@ -128,7 +128,7 @@ def slots(model: RobotModel, cycles: int) -> tuple[tuple[Slot, ...], ...]:
     """Return the slots of each limb in order, in the postures with the largest variation of the gravity torque.
 
     Limbs with fewer joints than the longest limb are exercised more than `cycles` times, each time in other postures.
-    In each slot and on the way to it the links keep clear of each other, those of other limbs included.
+    In each slot, on the way to it and back to zero the links keep clear of each other, those of other limbs included.
 
     Parameters
     ----------
@@ -147,11 +147,13 @@ def slots(model: RobotModel, cycles: int) -> tuple[tuple[Slot, ...], ...]:
     """
     random, clearance, found = np.random.default_rng(0), _Clearance(model), limbs(model)
     most = max(map(len, found)) * cycles
+    counts = [most // len(limb) * len(limb) for limb in found]
     out: list[list[Slot]] = [[] for _ in found]
     here = np.zeros(model.n)
     for k in range(most):
-        busy = [k < most // len(limb) * len(limb) for limb in found]
-        moves = _Moves(here, last=k == most - 1)
+        busy = [k < count for count in counts]
+        ending = [joint for limb, count in zip(found, counts, strict=True) if k == count - 1 for joint in limb]
+        moves = _Moves(here, tuple(ending))
         for i in sorted(range(len(found)), key=lambda i: busy[i]):  # first those that go back to zero
             limb, own = found[i], out[i]
             if busy[i]:
@@ -169,17 +171,17 @@ class _Moves:
 
     Attributes
     ----------
+    ending : tuple of int
+        Joints that move to zero after this slot.
     limbs : tuple of int
         First joints of the limbs whose motion is known.
-    last : bool
-        Whether they move to zero after this slot.
     """
 
     begin: Array
+    ending: tuple[int, ...] = ()
     limbs: tuple[int, ...] = ()
     target: Array | None = None
     sweep: Array | None = None
-    last: bool = False
 
     @property
     def posture(self) -> Array:
@@ -193,14 +195,18 @@ class _Moves:
         swept = np.zeros(len(target)) if self.sweep is None else self.sweep.copy()
         if joint >= 0:
             swept[joint] = sweep
-        return _Moves(self.begin, (*self.limbs, limb[0]), target, swept, self.last)
+        return _Moves(self.begin, self.ending, (*self.limbs, limb[0]), target, swept)
 
     def samples(self) -> list[Array]:
         """Return angles (n,) along the motion [rad]; all limbs move with the same timing."""
         assert self.sweep is not None
         found = [self.posture + s * self.sweep for s in (-1.0, 1.0, 0.0, -0.5, 0.5)]
         found += [self.begin + s * (self.posture - self.begin) for s in np.linspace(0.1, 0.9, 9)]
-        return found + [s * self.posture for s in np.linspace(0.1, 0.9, 9) if self.last]
+        for s in np.linspace(0.1, 0.9, 9) if self.ending else ():
+            back = self.posture.copy()
+            back[list(self.ending)] *= s
+            found.append(back)
+        return found
 
 
 def _slot(

@@ -106,12 +106,12 @@ def test_joints_of_a_limb_move_one_after_the_other_and_within_their_limits() -> 
         assert shaken[:, limb].any(axis=1).mean() > 0.6
 
 
-@pytest.mark.parametrize("name", ["legs", pytest.param("poppy", marks=pytest.mark.long)])
-def test_no_link_meets_another_one_during_the_exercise(name: str) -> None:
-    """Shins and feet pressed on each other for twenty seconds."""
+@pytest.mark.parametrize("lock", [REST, ["abs_y"], []])
+def test_no_link_meets_another_one_during_the_exercise(lock: list[str]) -> None:
+    """Shins and feet pressed on each other for 20 s, and where the legs end before the trunk on the way back."""
     from dqwalk_ros.plants.mujoco import own_contacts
 
-    model = LEGS if name == "legs" else dq.load_model(exercise_config(dq.load("poppy")).robot)
+    model = dq.load_model(exercise_config(dq.load("poppy")).updated({"robot.lock": lock}).robot)
     assert not own_contacts(model, path_of(model, 1)[::10])
 
 
