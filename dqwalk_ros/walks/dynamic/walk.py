@@ -54,7 +54,7 @@ _TOLERANT = 0.02
 _TIP_TOLERANCE_PER_DELAY = math.radians(60.0)
 """A sole counts as tipping from this inclination on, times (delay - one period) [rad/s]."""
 _TIPPED = math.radians(1.0)
-"""Inclination against the ground above which a sole has been tipped by a push, and not by noise [rad]."""
+"""Inclination against the ground above which a sole has been tipped, by a push or a stone, and not by noise [rad]."""
 _RESIDUAL = 0.002
 """Error above which the path of the CoM approaches the measured CoM [m]."""
 _APPROACH = 0.1
