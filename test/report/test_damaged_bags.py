@@ -228,6 +228,23 @@ def test_a_lost_message_of_a_phase_start_is_made_up_for_or_its_phase_left_out(
         assert report.report(report.analyse(back))["ok"]
 
 
+def test_a_lost_phase_start_whose_state_is_damaged_is_taken_from_the_next_one(trace, path, tmp_path):
+    numbers = iter(range(len(trace.phases)))
+    one = rewrite(
+        path, tmp_path / "one", edits="/phase_start", edit=lambda _, *given: None if next(numbers) == 1 else given
+    )
+    second = trace.phases[1]
+
+    def damage(number, message):
+        if number == second.start:
+            nan_angles(number, message)
+
+    back = bag.read(edited(one, tmp_path / "two", "/joint_states", damage))
+    assert [(record.name, record.time) for record in back.phases] == [(one.name, one.time) for one in trace.phases]
+    np.testing.assert_array_equal(back.phases[1].q_start, trace.q[second.start + 1])
+    assert all(np.isfinite(record.x_odom_base).all() for record in back.phases)
+
+
 @pytest.mark.parametrize(
     ("topic", "change", "sentence"),
     [

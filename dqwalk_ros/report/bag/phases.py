@@ -73,8 +73,8 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
         timed = [(time, name) for (time, _), name in zip(labels, names, strict=True) if name is not None]
         named, rest = _by_time(timed, list(known))
         lost = _lost(bag, rest, named, swings, places)
-        known |= {stamp: (base, q) for stamp, (_, base, q) in lost.items()}
-        named |= {stamp: name for stamp, (name, _, _) in lost.items()}
+        known = {stamp: (base, q) for stamp, (_, base, q) in lost.items()} | known
+        named = {stamp: name for stamp, (name, _, _) in lost.items()} | named
         if None not in names and (without := known.keys() - named.keys()):
             bag.notes.append(f"{len(without)} names of phases are missing: they follow from the targets")
     found: dict[int, PhaseRecord] = {}
@@ -140,10 +140,13 @@ def _lost(
     """Return name, base foot and angles (n,) [rad] of the phases whose phase_start is lost, by their stamps [ns].
 
     The target has the stamp of the beginning; without one it is that of the state next to the name. The angles are
-    those of that state.
+    those of that state, or of the next one with a number for every joint.
     """
     out: dict[int, tuple[_Name, Foot, Array]] = {}
-    for time, (kind, support) in labels:
+    q = bag.states.position[bag.rows]
+    whole = (np.abs(q) < FARTHEST).all(axis=1)
+    states, q = bag.stamps[whole], q[whole]
+    for time, (kind, support) in labels if len(states) else ():
         single = kind is PhaseKind.SINGLE_SUPPORT
         base = support if single else support.other
         frame = bag.model.soles[base].frame
@@ -153,8 +156,8 @@ def _lost(
             if stamp not in named and target.frame == frame and abs(stamp - time) < _TOGETHER
         ]
         stamp = min(near, key=lambda one: abs(one - time), default=time)
-        k = min(int(np.searchsorted(bag.stamps, stamp)), len(bag.stamps) - 1)
-        out[int(bag.stamps[k])] = (kind, support), base, bag.states.position[bag.rows[k]]
+        k = min(int(np.searchsorted(states, stamp)), len(states) - 1)
+        out[stamp if near else int(states[k])] = (kind, support), base, q[k]
         bag.notes.append(
             f"the phase_start of {kind.value}/{support.value} at {stamp / NS:.3f} s is missing: it is taken from the "
             "state then"
