@@ -46,8 +46,8 @@ _TORQUE = 1.3
 def check(config: Config, model: RobotModel) -> list[Finding]:
     """Return the parameters that do not fit the robot; an empty list if all fit.
 
-    Posture and soles are checked; without such problems, for the standing and the dynamic walk also torques, and for
-    the standing walk CoM, servos and steps.
+    Posture, soles and capsules of free arms are checked; without such problems, for the standing and the dynamic walk
+    also torques and whether the CoM is between the soles, and for the standing walk the CoM, servos and steps.
     """
     q = model.posture(config.standing.posture)
     found = [*_posture(config, model, q), *_soles(config, model, q)]
@@ -126,11 +126,11 @@ def _soles(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
         )
     if kin.point(model.pelvis)[2] < 0.0:
         yield Finding("the pelvis is below the soles: they are upside down", "robot.left_sole_rpy")
-    yield from _lowest(config, model)
+    yield from _within_feet(config, model)
 
 
-def _lowest(config: Config, model: RobotModel) -> Iterator[Finding]:
-    """Check that no foot extends below its sole."""
+def _within_feet(config: Config, model: RobotModel) -> Iterator[Finding]:
+    """Check that no foot extends below its sole, and that the centre of each sole is not beside its foot."""
     shapes = Shapes(Urdf(model.urdf, model.name), find_urdf(config.robot.urdf))
     for foot, sole in model.soles.items():
         frame = model.frames[sole.frame]
