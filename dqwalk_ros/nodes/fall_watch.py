@@ -47,7 +47,7 @@ class Contradictions:
     largest : float
         Largest of all sums since the beginning, of joints and vertical [rad].
     joint : int
-        Index of the joint that was described last; -1 for none.
+        Index of the joint that the last `judge` described; -1 for none.
     """
 
     memory = 10.0, 4.0, 1.0
