@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, TYPES, VOLTAGE, FaultyServos, Memory
 from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
-from dqwalk_ros.plants.poppy.dynamixel import GAINS, GOAL, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT, DynamixelBus
+from dqwalk_ros.plants.poppy.dynamixel import GAINS, GOAL, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT, DynamixelBus, open_port
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo
 from dqwalk_ros.support.errors import PlantError
 
@@ -525,3 +527,29 @@ def test_every_error_of_the_port_is_handled(rig: Rig) -> None:
         assert "the port is gone" in rig.faults
         rig.until(lambda: rig.plant.fresh, 3.0)
         rig.settle()
+
+
+def test_a_port_that_takes_no_bytes_for_a_moment_is_not_lost(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy computer or adapter delays a packet; the motion continues with the next one."""
+    bus = rig.plant.parts[0].bus
+    with monkeypatch.context() as patch:
+        patch.setattr(bus._port, "writePort", lambda packet: 0)
+        rig.run(0.5, u=0.3)
+        assert "lower bus: every motor cannot be asked: the port takes no bytes; is this computer" in rig.faults
+    assert not bus.lost
+    rig.until(lambda: not rig.plant.watch.faults, 2.0)
+    check_moves(rig)
+
+
+def test_a_port_whose_buffer_is_full_takes_no_bytes() -> None:
+    """The other end of a pseudo terminal that nobody reads."""
+    here, there = os.openpty()
+    port = open_port(os.ttyname(there))
+    try:
+        taken = [port.writePort([255] * 1000) for _ in range(100)]
+    finally:
+        port.closePort()
+        os.close(here)
+        os.close(there)
+    assert taken[0] == 1000
+    assert taken[-1] == 0

@@ -27,6 +27,7 @@ __all__ = [
     "FULL_TORQUE",
     "LIMITS",
     "SILENT",
+    "UNSENT",
     "Clock",
     "DynamixelBus",
     "Identity",
@@ -67,6 +68,7 @@ _INSPECTED: Final = 20
 """Number of bytes from `TORQUE_ENABLE` up to the temperature."""
 SILENT: Final = "does not answer"
 DAMAGED: Final = "sends damaged replies"
+UNSENT: Final = "cannot be asked: the port takes no bytes"
 """Why a reading failed."""
 _SYNC_READ: Final = 0x84
 """Instruction of the USB2AX adapter, which reads the servos one after the other and replies for all of them."""
@@ -170,6 +172,12 @@ def open_port(name: str) -> Any:
         def setPacketTimeout(self, packet_length: int) -> None:
             self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1e3 * _TIMEOUT)
 
+        def writePort(self, packet: Sequence[int]) -> int:
+            try:
+                return int(self.ser.write(bytearray(packet)) or 0)
+            except serial.SerialTimeoutException:  # a busy computer or adapter; a port that is gone raises other errors
+                return 0
+
         def readPort(self, length: int) -> bytes:
             over = self.getTimeSinceStart() > self.packet_timeout
             return b"" if over or length <= 0 else self.ser.read(length)
@@ -256,9 +264,10 @@ class DynamixelBus:
         sync_read: bool = False,
         clock: Clock = time.monotonic,
     ) -> None:
-        from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, Protocol1PacketHandler
+        from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, COMM_TX_FAIL, Protocol1PacketHandler
 
-        self._success, self._no_reply, self._handler = COMM_SUCCESS, COMM_RX_TIMEOUT, Protocol1PacketHandler()
+        self._success, self._handler = COMM_SUCCESS, Protocol1PacketHandler()
+        self._causes = {COMM_RX_TIMEOUT: SILENT, COMM_TX_FAIL: UNSENT}
         self.name, self.ids, self.types = name, tuple(ids), tuple(types)
         self._open, self._sync_read, self._clock = opener, sync_read, clock
         n = len(self.ids)
@@ -305,7 +314,7 @@ class DynamixelBus:
             return None
         data, result, error = reply
         if result != self._success or len(data) != length:
-            self.cause[i] = SILENT if result == self._no_reply else DAMAGED
+            self.cause[i] = self._causes.get(result, DAMAGED)
             return None
         self.cause[i], self.error[i] = "", error
         return bytes(data)
@@ -327,7 +336,7 @@ class DynamixelBus:
             return [None] * n
         data, result = reply
         if result != self._success or len(data) != n * length:
-            why = SILENT if result == self._no_reply else DAMAGED
+            why = self._causes.get(result, DAMAGED)
             self.cause = [why] * n
             return [None] * n
         out: list[bytes | None] = []

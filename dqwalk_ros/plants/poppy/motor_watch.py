@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import PoppyConfig
-from dqwalk_ros.plants.poppy.dynamixel import DAMAGED, ERROR_BITS, FULL_TORQUE, SILENT, DynamixelBus
+from dqwalk_ros.plants.poppy.dynamixel import DAMAGED, ERROR_BITS, FULL_TORQUE, SILENT, UNSENT, DynamixelBus
 from dqwalk_ros.plants.servo_goals import JUMPS
 from dqwalk_ros.support.arrays import Array, Mask
 
@@ -23,6 +23,11 @@ _TWICE = 2
 _COOLER, _FULLER = 5.0, 0.5
 """Hysteresis of temperature [K] and voltage [V] for the end of a fault."""
 _DAMAGED = "is the cable intact, and does no other program use the port?"
+_ASKS = {
+    SILENT: "is the power on, and the cable plugged in?",
+    UNSENT: "is this computer too busy, or its adapter to be plugged in again?",
+}
+"""What to look for if no servo of a bus is read, for each cause; else `_DAMAGED`."""
 _FULL = 0.95
 """Part of the position error of full torque at which a servo counts as pushing."""
 _SWITCHED_OFF = 4 | 32
@@ -148,9 +153,8 @@ class MotorWatch:
                 late = now - measured.at[part.places].min()
                 found[f"silent/{bus.name}"] = f"{bus.name} bus: not read for {late:.2f} s; is this computer too busy?"
             elif len(silent) == len(part.places) and len(set(bus.cause)) == 1 and bus.cause[0]:
-                found[f"silent/{bus.name}"] = f"{bus.name} bus: every motor {bus.cause[0]}; " + (
-                    "is the power on, and the cable plugged in?" if bus.cause[0] == SILENT else _DAMAGED
-                )
+                why = bus.cause[0]
+                found[f"silent/{bus.name}"] = f"{bus.name} bus: every motor {why}; {_ASKS.get(why, _DAMAGED)}"
             else:
                 for i in silent:
                     name = self._names[part.places[i]]
