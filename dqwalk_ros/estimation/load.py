@@ -14,12 +14,13 @@ a twentieth.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.kinematics import Kinematics, Place, compose, point, support_tree
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
@@ -45,11 +46,33 @@ def share_of(foot: Foot, loads: Array) -> float:
     return mine / (left + right) if left + right > 0.0 else 0.5
 
 
+class _Legs(NamedTuple):
+    """Both legs, seen from a base sole.
+
+    `right` is whether that is the right one, `pelvis` (n,) whether a joint moves the pelvis, `center` and
+    `other_center` (3,) the centres of the soles in their frames [m], and `other` the place of the other sole.
+    """
+
+    right: bool
+    pelvis: Mask
+    center: Array
+    other_center: Array
+    other: Place
+
+    @classmethod
+    def of(cls, model: RobotModel, base: Foot) -> Self:
+        """Return the legs of a robot."""
+        tree, sole, other = support_tree(model, base), model.soles[base], model.soles[base.other]
+        pelvis = tree.frames[model.pelvis].moves
+        return cls(base is Foot.RIGHT, pelvis, sole.center, other.center, tree.frames[other.frame])
+
+
 class FootLoads:
     """Estimate of the vertical forces on the soles; `update` processes one state."""
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         self._weight, self._armature = model.mass * GRAVITY, Drive.of(config, model).armature
+        self._legs = {base: _Legs.of(model, base) for base in Foot}
         self._time = -math.inf
         self._dq, self._acceleration = np.zeros((2, model.n))
         self._loads = np.zeros(2)
@@ -66,24 +89,19 @@ class FootLoads:
         state : State
             The same state may be given again.
         """
-        model, tree, dt = kin.model, kin.tree, state.time - self._time
+        passed = state.time - self._time
+        dt, loads = passed if 0.0 <= passed <= _GAP else math.inf, self._loads.copy()
         if state.forces is not None:
-            dt = dt if 0.0 <= dt <= _GAP else math.inf
-            self._time, self._loads = state.time, _filtered(self._loads, state.forces, dt, self._weight)
-            return self._loads
-        if state.effort is None or state.dq is None or not np.isfinite(state.effort).all():
+            _filter(loads, state.forces, dt, self._weight)
+        elif state.effort is not None and state.dq is not None and _estimate(
+            loads, self._acceleration, self._dq, state.dq, state.effort, dt, self._weight, self._armature,
+            kin.lines, kin.com, kin.com_jacobian, kin.poses, kin.up, *self._legs[kin.base],
+        ):  # fmt: skip
+            self._dq = state.dq
+        else:
             return None
-        moves = (tree.moves[tree.frames[frame][0]] for frame in (model.pelvis, kin.swing))
-        soles = model.soles[kin.base].center, kin.point(kin.swing, model.soles[kin.base.other].center)
-        if not 0.0 <= dt <= _GAP:
-            dt, self._dq, self._acceleration = math.inf, state.dq, np.zeros(model.n)
-        self._acceleration = _accelerated(self._acceleration, self._dq, state.dq, dt)
-        self._loads = _loaded(
-            self._loads, kin.base is Foot.RIGHT, dt, kin.lines, kin.com, kin.com_jacobian, kin.up, *moves, *soles,
-            self._weight, self._armature, self._acceleration, state.effort,
-        )  # fmt: skip
-        self._time, self._dq = state.time, state.dq
-        return self._loads
+        self._time, self._loads = state.time, loads
+        return loads
 
 
 @jit
@@ -93,30 +111,32 @@ def _approach(dt: float) -> float:
 
 
 @jit
-def _accelerated(acceleration: Array, before: Array, dq: Array, dt: float) -> Array:
-    """Return the filtered acceleration (n,) after the velocities changed from `before` to `dq` (n,) in `dt` [s]."""
-    gained = (dq - before) / dt if 0.0 < dt < math.inf else np.zeros(dq.shape[0])
-    filtered: Array = acceleration + _approach(dt) * (gained - acceleration)
-    return filtered
+def _estimate(
+    loads: Array, acceleration: Array, before: Array, dq: Array, effort: Array, dt: float, weight: float,
+    armature: Array, lines: Array, com: Array, J_com: Array, poses: Array, up: Array, right: bool, pelvis: Mask,
+    center: Array, other_center: Array, other: Place,
+) -> bool:  # fmt: skip
+    """Filter the accelerations (n,) of the joints, whose velocities were `before` (n,), and the loads (2,) of the feet.
 
-
-@jit
-def _loaded(
-    loads: Array, right: bool, dt: float, lines: Array, com: Array, J_com: Array, up: Array, pelvis: Mask, other: Mask,
-    at_base: Array, at_other: Array, weight: float, armature: Array, acceleration: Array, effort: Array,
-) -> Array:  # fmt: skip
-    """Return the filtered loads (2,) of both feet; `right` is whether the right one is the base. See `_forces`."""
+    Return whether all torques are finite; otherwise nothing is changed. The last arguments are those of `_Legs`.
+    """
+    if not np.isfinite(effort).all():
+        return False
+    if dt == math.inf:
+        acceleration[:] = 0.0
+    elif dt > 0.0:
+        acceleration += _approach(dt) * ((dq - before) / dt - acceleration)
+    at_other = point(compose(poses[other.body], other.pose), other_center)
     tau = effort - armature * acceleration
-    forces = _forces(lines, com, J_com, up, pelvis, other, at_base, at_other, weight, tau)
-    filtered: Array = _filtered(loads, np.array([forces[1], forces[0]]) if right else forces, dt, weight)
-    return filtered
+    forces = _forces(lines, com, J_com, up, pelvis, other.moves, center, at_other, weight, tau)
+    _filter(loads, np.array([forces[1], forces[0]]) if right else forces, dt, weight)
+    return True
 
 
 @jit
-def _filtered(loads: Array, now: Array, dt: float, weight: float) -> Array:
-    """Return the loads (2,) after the forces `now` (2,) [N], of which a sole only pushes."""
-    filtered: Array = loads + _approach(dt) * (np.minimum(np.maximum(now, 0.0), _MOST * weight) - loads)
-    return filtered
+def _filter(loads: Array, now: Array, dt: float, weight: float) -> None:
+    """Filter the loads (2,) with the forces `now` (2,) [N], of which a sole only pushes."""
+    loads += _approach(dt) * (np.minimum(np.maximum(now, 0.0), _MOST * weight) - loads)
 
 
 @jit

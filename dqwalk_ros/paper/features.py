@@ -163,8 +163,8 @@ class Point(Feature):
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
         """Return body, and the point in its frame (3,) [m]."""
-        body, pose = tree.frames[self.frame]
-        return body, point(pose, self.offset)
+        place = tree.frames[self.frame]
+        return place.body, point(place.pose, self.offset)
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,8 @@ class Direction(Feature):
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
         """Return body, and the direction in its frame (3,)."""
-        body, pose = tree.frames[self.frame]
-        return body, direction(pose, self.v)
+        place = tree.frames[self.frame]
+        return place.body, direction(place.pose, self.v)
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class Rotation(Feature):
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
         """Return body, and the pose of the frame on it (8,)."""
-        return tree.frames[self.frame]
+        return tree.frames[self.frame][:2]
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class Pose(Feature):
 
     def placed(self, tree: SupportTree) -> tuple[int, Array]:
         """Return body, and the pose of the frame on it (8,)."""
-        return tree.frames[self.frame]
+        return tree.frames[self.frame][:2]
 
 
 class JointAngles(Feature):

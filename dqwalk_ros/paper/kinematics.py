@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Bodies",
     "Kinematics",
+    "Place",
     "SupportTree",
     "compose",
     "direction",
@@ -79,6 +80,14 @@ class Bodies(NamedTuple):
     lines: Array
     com: Array
     com_jacobian: Array
+
+
+class Place(NamedTuple):
+    """Where a frame is in a tree: its body, its pose (8,) in the frame of the body, and which joints (n,) move it."""
+
+    body: int
+    pose: Array
+    moves: Mask
 
 
 # ---------------------------------------------------------------------- compiled functions
@@ -231,8 +240,10 @@ class SupportTree:
         Parent body and joint of every body, parents first.
     links : ndarray, shape (bodies, 15)
         Origin (8), axis (3), mass as a fraction of the total, and centre of mass (3) of every body.
-    frames : dict of str to (int, ndarray)
-        Body of every frame, and the frame's pose (8,) in the frame of that body.
+    frames : dict of str to Place
+        Place of every frame.
+    swing : str
+        Name of the frame of the other sole.
     moves : ndarray of bool, shape (bodies, n)
         Whether a joint moves a body.
     """
@@ -275,9 +286,10 @@ class SupportTree:
             self.moves[k] = self.moves[parent[k]]
             self.moves[k, joint[k]] = True
         self.frames = {
-            name: (place[frame.body], (x_old[frame.body] * DQ(frame.pose)).vec8())
+            name: Place(k := place[frame.body], (x_old[frame.body] * DQ(frame.pose)).vec8(), self.moves[k])
             for name, frame in model.frames.items()
         }
+        self.swing = model.soles[base.other].frame
 
 
 @functools.lru_cache(maxsize=16)
@@ -350,12 +362,12 @@ class Kinematics:
     @property
     def swing(self) -> str:
         """Name of the frame of the other sole."""
-        return self.model.soles[self.base.other].frame
+        return self.tree.swing
 
     def pose(self, frame: str) -> Array:
         """Pose of a frame, vec8 of a unit dual quaternion (U1), shape (8,)."""
-        body, local = self.tree.frames[frame]
-        x: Array = compose(self.poses[body], local)
+        place = self.tree.frames[frame]
+        x: Array = compose(self.poses[place.body], place.pose)
         return x
 
     def point(self, frame: str, offset: Array = _ORIGIN) -> Array:
@@ -366,7 +378,7 @@ class Kinematics:
     def point_jacobian(self, frame: str, offset: Array = _ORIGIN) -> Array:
         """J_p with vec3(p') = J_p q' (section 2.2), shape (3, n) [m/rad]."""
         J = np.empty((3, len(self.q)))
-        jacobian(self.lines, self.tree.moves[self.tree.frames[frame][0]], self.point(frame, offset), 1.0, J)
+        jacobian(self.lines, self.tree.frames[frame].moves, self.point(frame, offset), 1.0, J)
         return J
 
     def direction(self, frame: str, v: Array) -> Array:
@@ -376,4 +388,4 @@ class Kinematics:
 
     def angular_jacobian(self, frame: str) -> Array:
         """Jacobian of the angular velocity of a frame, in axes of the base frame, shape (3, n)."""
-        return np.where(self.tree.moves[self.tree.frames[frame][0]], self.lines[:, :3].T, 0.0)
+        return np.where(self.tree.frames[frame].moves, self.lines[:, :3].T, 0.0)

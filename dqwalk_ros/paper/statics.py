@@ -3,28 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, direction
-from dqwalk_ros.support.arrays import Array, Mask
+from dqwalk_ros.paper.kinematics import Kinematics, Place, compose, direction, point, support_tree
+from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["GRAVITY", "borne_by_other", "gravity_torques", "ground_torques", "share"]
+if TYPE_CHECKING:
+    from dqwalk_ros.robot.model import RobotModel
+
+__all__ = ["GRAVITY", "Soles", "gravity_torques", "ground_torques", "share"]
 
 
 GRAVITY = 9.80665
 """[m/s^2]"""
 
 
+class Soles(NamedTuple):
+    """What carries the robot.
+
+    Attributes
+    ----------
+    both : bool
+        Whether both soles are on the ground; otherwise the base sole is.
+    at, at_other : ndarray, shape (3,)
+        Point of the base sole and of the other one, each in the frame of its sole, on which it carries all of the force
+        [m].
+    half : float
+        Half of the length of the shorter sole [m].
+    other : Place
+        Place of the other sole.
+    """
+
+    both: bool
+    at: Array
+    at_other: Array
+    half: float
+    other: Place
+
+    @classmethod
+    def of(cls, model: RobotModel, base: Foot, *, both: bool, at: Mapping[Foot, Array] | None = None) -> Self:
+        """Return the soles of a robot; by default the points are their centres."""
+        sole, other = model.soles[base], model.soles[base.other]
+        points = (sole.center, other.center) if at is None else (at[base], at[base.other])
+        return cls(both, *points, 0.5 * min(sole.length, other.length), support_tree(model, base).frames[other.frame])
+
+
 def gravity_torques(kin: Kinematics, *, both: bool) -> Array:
-    """Return the joint torques (n,) [N m] that compensate gravity; see `ground_torques`."""
-    return ground_torques(kin, kin.model.mass * GRAVITY * kin.up, kin.com_on_ground, both=both)
+    """Return the joint torques (n,) [N m] that compensate gravity, on both soles or on the base sole."""
+    force, soles = kin.model.mass * GRAVITY * kin.up, Soles.of(kin.model, kin.base, both=both)
+    tau: Array = ground_torques(force, kin.com_on_ground, kin.com, kin.com_jacobian, kin.lines, kin.poses, soles)
+    return tau
 
 
+@jit
 def ground_torques(
-    kin: Kinematics, force: Array, pressure: Array, *, both: bool, at: Mapping[Foot, Array] | None = None
+    force: Array, pressure: Array, com: Array, J_com: Array, lines: Array, poses: Array, soles: Soles
 ) -> Array:
     """Return the joint torques for which the ground applies a given force at the CoM, shape (n,) [N m].
 
@@ -37,23 +74,17 @@ def ground_torques(
 
     Parameters
     ----------
-    kin : Kinematics
     force : ndarray, shape (3,)
         Force of the ground on the robot, including the reaction to its weight [N].
     pressure : ndarray, shape (2,)
         Centre of pressure on the ground [m].
-    both : bool
-        Whether both feet are on the ground.
-    at : mapping of Foot to ndarray, shape (3,), optional
-        Point of each sole, in its frame, on which it carries all of the force [m]; by default its centre.
+    com, J_com, lines, poses : ndarray
+        Those of `Kinematics`.
+    soles : Soles
     """
-    tau: Array = force @ kin.com_jacobian
-    if both:
-        base, other = (kin.model.soles[foot] for foot in (kin.base, kin.base.other))
-        a, b = (base.center, other.center) if at is None else (at[kin.base], at[kin.base.other])
-        b, moves = kin.point(other.frame, b), kin.tree.moves[kin.tree.frames[other.frame][0]]
-        x_other, half = kin.pose(other.frame), 0.5 * min(base.length, other.length)
-        tau -= borne_by_other(force, pressure, kin.com, a, b, half, x_other, kin.lines, moves)
+    tau = force @ J_com
+    if soles.both:
+        tau -= _borne_by_other(force, pressure, com, lines, poses, soles)
     return tau
 
 
@@ -69,15 +100,10 @@ def share(pressure: Array, a: Array, b: Array) -> float:
 
 
 @jit
-def borne_by_other(
-    force: Array, pressure: Array, com: Array, a: Array, b: Array, half: float, x_other: Array, lines: Array,
-    moves: Mask,
-) -> Array:  # fmt: skip
-    """Return w (F.J_po + m.J_omega) of `ground_torques`, shape (n,) [N m].
-
-    `a` and `b` (3,) are the points `at` of the base sole and of the other sole, `half` is half of their length [m],
-    `x_other` (8,) the pose of the other sole, and `moves` (n,) the joints that move it.
-    """
+def _borne_by_other(force: Array, pressure: Array, com: Array, lines: Array, poses: Array, soles: Soles) -> Array:
+    """Return w (F.J_po + m.J_omega) of `ground_torques`, shape (n,) [N m]."""
+    x_other = compose(poses[soles.other.body], soles.other.pose)
+    a, b, half, moves = soles.at, point(x_other, soles.at_other), soles.half, soles.other.moves
     w = share(pressure, a, b)
     offset = pressure - a[:2] - w * (b - a)[:2]
     ahead_a, ahead_b = np.array([1.0, 0.0, 0.0]), direction(x_other, np.array([1.0, 0.0, 0.0]))

@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.paper.kinematics import Kinematics, SupportTree, compose, direction
+from dqwalk_ros.paper.kinematics import Kinematics, Place, compose, direction, jacobian, point
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["NOT_MEASURED", "Sensor", "com_and_xi", "com_velocity", "moving_com"]
+__all__ = ["NOT_MEASURED", "com_and_xi", "com_velocity", "moving_com"]
 
 
 NOT_MEASURED = np.empty(0)
 """Stands for an angular velocity that is not measured."""
-
-
-class Sensor(NamedTuple):
-    """Place of the inertial sensor: its body, its pose on that body (8,), and which joints (n,) move it."""
-
-    body: int
-    pose: Array
-    moves: Array
-
-    @classmethod
-    def of(cls, model: RobotModel, tree: SupportTree) -> Sensor:
-        """Return the place of the sensor of `model` in the tree from the base sole."""
-        body, pose = tree.frames[model.imu]
-        return cls(body, pose, tree.moves[body])
 
 
 def com_velocity(kin: Kinematics, state: State, share: float = 0.0) -> Array:
@@ -39,18 +24,55 @@ def com_velocity(kin: Kinematics, state: State, share: float = 0.0) -> Array:
     Each sole is at rest as far as it bears the weight, of which the other sole has the fraction `share`. So a base sole
     that has left uneven ground in double support, and moves, is not taken to be at rest.
     """
-    if state.dq is None:
-        return np.zeros(3)
-    sensor, gyro = Sensor.of(kin.model, kin.tree), NOT_MEASURED if state.gyro is None else state.gyro
-    v: Array = moving_com(kin.com, kin.com_jacobian, kin.lines, kin.poses, sensor, state.dq, gyro)
+    v: Array = _velocity(share, *_measured(kin, state))
+    return v
+
+
+def com_and_xi(kin: Kinematics, state: State, omega: Array, share: float = 0.0) -> tuple[Array, Array]:
+    """Return the projection c (2,) of the CoM on the ground along the vertical, and xi = c + c'/w (2,) [m].
+
+    `omega` (2,) are the frequencies w of the pendulum [1/s]; `share` as in `com_velocity`.
+    """
+    c, xi = _com_and_xi(kin.up, omega, share, *_measured(kin, state))
+    return c, xi
+
+
+def _measured(kin: Kinematics, state: State) -> tuple[Any, ...]:
+    """Return what the velocity of the CoM is computed from, as the compiled functions below take it."""
+    frames, dq, gyro = kin.tree.frames, state.dq, state.gyro
+    if dq is None:
+        dq, gyro = np.zeros(len(kin.q)), None
+    places = frames[kin.swing], frames[kin.model.imu]
+    return kin.com, kin.com_jacobian, kin.lines, kin.poses, *places, dq, NOT_MEASURED if gyro is None else gyro
+
+
+@jit
+def _com_and_xi(
+    up: Array, omega: Array, share: float, com: Array, J_com: Array, lines: Array, poses: Array, swing: Place,
+    sensor: Place, dq: Array, gyro: Array,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return c and xi (2,) of `com_and_xi`."""
+    v, along = _velocity(share, com, J_com, lines, poses, swing, sensor, dq, gyro), up[:2]
+    c = com[:2] - com[2] / up[2] * along
+    return c, c + (v[:2] - v[2] / up[2] * along) / omega
+
+
+@jit
+def _velocity(
+    share: float, com: Array, J_com: Array, lines: Array, poses: Array, swing: Place, sensor: Place, dq: Array,
+    gyro: Array,
+) -> Array:  # fmt: skip
+    """Return the velocity (3,) of `com_velocity`."""
+    v: Array = moving_com(com, J_com, lines, poses, sensor, dq, gyro)
     if share > 0.0:
-        p, J = kin.point(kin.swing), kin.point_jacobian(kin.swing)
-        v -= share * moving_com(p, J, kin.lines, kin.poses, sensor, state.dq, gyro)
+        p, J = point(compose(poses[swing.body], swing.pose), np.zeros(3)), np.empty(J_com.shape)
+        jacobian(lines, swing.moves, p, 1.0, J)
+        v -= share * moving_com(p, J, lines, poses, sensor, dq, gyro)
     return v
 
 
 @jit
-def moving_com(com: Array, J_com: Array, lines: Array, poses: Array, sensor: Sensor, dq: Array, gyro: Array) -> Array:
+def moving_com(com: Array, J_com: Array, lines: Array, poses: Array, sensor: Place, dq: Array, gyro: Array) -> Array:
     """Return the velocity of the CoM, or of another point, including that by a rotation of the base sole, (3,) [m/s].
 
     Without a measured angular velocity `gyro` (empty) the base sole is assumed to be at rest.
@@ -64,19 +86,3 @@ def moving_com(com: Array, J_com: Array, lines: Array, poses: Array, sensor: Sen
                 omega -= dq[i] * lines[i, :3]
         v += np.cross(omega, com)
     return v
-
-
-def com_and_xi(kin: Kinematics, state: State, omega: Array, share: float = 0.0) -> tuple[Array, Array]:
-    """Return the projection c (2,) of the CoM on the ground along the vertical, and xi = c + c'/w (2,) [m].
-
-    `omega` (2,) are the frequencies w of the pendulum [1/s]; `share` as in `com_velocity`.
-    """
-    c, v = _along_ground(kin.com, com_velocity(kin, state, share), kin.up)
-    return c, c + v / omega
-
-
-@jit
-def _along_ground(com: Array, velocity: Array, up: Array) -> tuple[Array, Array]:
-    """Return the projections (2,) of the CoM (3,) and of its velocity (3,) on the ground along the vertical (3,)."""
-    along = up[:2]
-    return com[:2] - com[2] / up[2] * along, velocity[:2] - velocity[2] / up[2] * along

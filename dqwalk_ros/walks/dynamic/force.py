@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.paper.statics import GRAVITY, Soles, ground_torques
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["approached", "converging", "ground_force", "leg_torques"]
+__all__ = ["approach", "converging", "feedforward", "ground_force"]
 
 
 _ACCELERATION = 0.01
@@ -31,13 +31,31 @@ def converging(c: Array, xi: Array, later: Array, omega: Array, time: float) -> 
 
 
 @jit
-def approached(acceleration: Array, before: Array, u: Array, passed: float) -> Array:
-    """Return the filtered acceleration (n,) after velocities have changed from `before` to `u` (n,) in a time [s]."""
-    return acceleration + (u - before - passed * acceleration) / (_ACCELERATION + passed)
+def approach(acceleration: Array, before: Array, u: Array, passed: float) -> None:
+    """Filter the acceleration (n,) after velocities have changed from `before` to `u` (n,) in a time [s]."""
+    acceleration += (u - before - passed * acceleration) / (_ACCELERATION + passed)
 
 
 @jit
-def leg_torques(
+def feedforward(
+    mass: float, force: Array, pressure: Array, acceleration: Array, inertia: Array, legs: Mask, up: Array, com: Array,
+    J_com: Array, lines: Array, poses: Array, soles: Soles,
+) -> Array:  # fmt: skip
+    """Return the feedforward torques for a ground reaction force per mass through the zero-moment point, (n,) [N m].
+
+    The joints `legs` (n,) between the base sole and the pelvis carry that force less the weight of the links below
+    them: the support leg hardly moves, so the inertial forces act above it. In single support the joints of the swing
+    leg have the `acceleration` (n,) [rad/s^2] and the `inertia` (n, n) [kg m^2].
+    """
+    tau: Array = ground_torques(mass * force, pressure, com, J_com, lines, poses, soles)
+    tau += mass * _leg_torques(lines, com, J_com, legs, pressure, force, GRAVITY * up)
+    if not soles.both:
+        tau += inertia @ acceleration
+    return tau
+
+
+@jit
+def _leg_torques(
     lines: Array, com: Array, J_com: Array, legs: Mask, pressure: Array, force: Array, weight: Array
 ) -> Array:
     """Return the torques of the leg joints from the difference between the ground force at z and at c, per mass (n,).

@@ -44,8 +44,8 @@ def swing_inertia(kin: Kinematics) -> Array:
 
     It is zero for all other joints, and does not include the rotors of the servos.
     """
-    model, tree = kin.model, kin.tree
-    moved, above = (tree.moves[tree.frames[frame][0]] for frame in (kin.swing, model.pelvis))
+    model = kin.model
+    moved, above = (kin.tree.frames[frame].moves for frame in (kin.swing, model.pelvis))
     leg, M = moved & ~above, np.zeros((model.n, model.n))
     for name, body in zip(model.links, model.bodies, strict=True):
         J, turning = kin.point_jacobian(name, body.com) * leg, kin.angular_jacobian(name) * leg

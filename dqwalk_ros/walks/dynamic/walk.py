@@ -23,16 +23,16 @@ from dqwalk_ros.paper.geometry import ConvexPolygon, Z, moved_inside
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.paper.statics import GRAVITY, ground_torques
+from dqwalk_ros.paper.statics import GRAVITY, Soles
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.com import com_and_xi
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
-from dqwalk_ros.walks.dynamic.force import approached, converging, ground_force, leg_torques
+from dqwalk_ros.walks.dynamic.force import approach, converging, feedforward, ground_force
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
@@ -142,8 +142,8 @@ class DynamicWalk(SteppingWalk):
         self._rests = False  # whether a stance has brought the CoM to rest
         self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
-        self._alone: dict[Foot, Array] = {}  # the point of each sole on which it carries all of the force
-        self._legs = np.zeros(model.n, dtype=np.bool_)  # whether a joint is between the base sole and the pelvis
+        self._soles: Soles
+        self._legs: Mask  # (n,), whether a joint is between the base sole and the pelvis
 
     @staticmethod
     def phases(config: Config) -> int:
@@ -488,9 +488,10 @@ class DynamicWalk(SteppingWalk):
             else:
                 self._reference = self._transfer_reference(phase, other, rule, before)
         self._support = ConvexPolygon.hull(corners).edges()
-        tree = kin.tree
-        self._legs = tree.moves[tree.frames[self.model.pelvis][0]]
-        self._alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
+        self._legs = kin.tree.frames[self.model.pelvis].moves
+        alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
+        both = phase.kind is not PhaseKind.SINGLE_SUPPORT
+        self._soles = Soles.of(self.model, phase.base, both=both, at=alone)
 
     def _transfer_reference(self, phase: Phase, other: Footprint, rule: Timed, before: Phase | None) -> Reference:
         """Return the reference of a double support, which ends on the foot at `other`."""
@@ -572,27 +573,23 @@ class DynamicWalk(SteppingWalk):
     def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
         """Return the feedforward torques for a ground reaction force through the zero-moment point, shape (n,) [N m].
 
-        The joints between the base sole and the pelvis carry the ground reaction force less the weight of the links
-        below them: the support leg hardly moves, so the inertial forces act above it. The joints of the swing leg are
-        accelerated as commanded by `u` (n,) [rad/s].
+        The joints of the swing leg are accelerated as commanded by `u` (n,) [rad/s].
         """
-        m, f, up = self._mass, self._force, kin.up
-        both = phase.kind is not PhaseKind.SINGLE_SUPPORT
-        z = self._now.pressure
-        tau = ground_torques(kin, m * f, z, both=both, at=self._alone)
-        tau += m * leg_torques(kin.lines, kin.com, kin.com_jacobian, self._legs, z, f, GRAVITY * up)
-        acceleration = self._accelerated(state.time, u)
-        if not both:
-            tau += self._inertia[phase.base] @ acceleration
+        self._accelerate(state.time, u)
+        tau: Array = feedforward(
+            self._mass, self._force, self._now.pressure, self._acceleration, self._inertia[phase.base], self._legs,
+            kin.up, kin.com, kin.com_jacobian, kin.lines, kin.poses, self._soles,
+        )  # fmt: skip
         return tau
 
-    def _accelerated(self, time: float, u: Array) -> Array:
-        """Return the filtered acceleration (n,) [rad/s^2] of the commands, of which `u` (n,) is that at `time` [s]."""
-        passed, before = time - self._commanded, self._u
+    def _accelerate(self, time: float, u: Array) -> None:
+        """Filter the acceleration of the commands, of which `u` (n,) [rad/s] is that at `time` [s]."""
+        passed = time - self._commanded
+        if 0.0 < passed <= _GAP:
+            approach(self._acceleration, self._u, u, passed)
+        else:
+            self._acceleration[:] = 0.0
         self._commanded, self._u = time, u
-        known = 0.0 < passed <= _GAP
-        self._acceleration = approached(self._acceleration, before, u, passed) if known else np.zeros_like(u)
-        return self._acceleration
 
 
 def _pitching(kin: Kinematics) -> NDArray[np.intp]:
@@ -601,7 +598,7 @@ def _pitching(kin: Kinematics) -> NDArray[np.intp]:
     The trunk is the heaviest body beyond the pelvis.
     """
     model, tree = kin.model, kin.tree
-    pelvis, sole = (tree.moves[tree.frames[name][0]] for name in (model.pelvis, kin.swing))
+    pelvis, sole = (tree.frames[name].moves for name in (model.pelvis, kin.swing))
     legs = pelvis | sole
     mass = np.where((tree.moves & ~legs).any(axis=1), tree.links[:, 11], 0.0)
     between = tree.moves[int(np.argmax(mass))] & ~legs

@@ -14,13 +14,13 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import ComInsideEdges
 from dqwalk_ros.paper.geometry import moved_inside
-from dqwalk_ros.paper.kinematics import Kinematics, compose, point, support_tree
+from dqwalk_ros.paper.kinematics import Kinematics, Place, point, support_tree
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.paper.statics import GRAVITY, borne_by_other, gravity_torques
+from dqwalk_ros.paper.statics import GRAVITY, Soles, gravity_torques, ground_torques
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.walks.com import NOT_MEASURED, Sensor, moving_com
+from dqwalk_ros.walks.com import NOT_MEASURED, moving_com
 from dqwalk_ros.walks.following import ComPath, com_path
 
 __all__ = ["Balance"]
@@ -56,21 +56,6 @@ class _Gains(NamedTuple):
     mass: float
 
 
-class _Soles(NamedTuple):
-    """Centres of the base sole and of the other one (3,), half of their least length, and the place of the other one.
-
-    `both` is whether both stand on the ground.
-    """
-
-    both: bool
-    center: Array
-    other_center: Array
-    half: float
-    body: int
-    pose: Array
-    moves: Array
-
-
 class Balance:
     """Computes the feedforward torques of one phase; call it with the kinematics and the state.
 
@@ -93,11 +78,8 @@ class Balance:
         edges = next((constraint for constraint in phase.inequalities if isinstance(constraint, ComInsideEdges)), None)
         self._edges = edges.polygon.edges() if edges is not None else _NO_EDGES
         self._gains = _Gains(standing.balance, standing.pressure_margin, model.mass)
-        self._sensor = Sensor.of(model, tree)
-        base, other = (model.soles[foot] for foot in (phase.base, phase.base.other))
-        body, pose = tree.frames[other.frame]
-        half = 0.5 * min(base.length, other.length)
-        self._soles = _Soles(self._both, base.center, other.center, half, body, pose, tree.moves[body])
+        self._sensor = tree.frames[model.imu]
+        self._soles = Soles.of(model, phase.base, both=self._both)
 
     def __call__(self, kin: Kinematics, state: State) -> Array:
         """Return the joint torques (n,) [N m] that compensate gravity and accelerate the CoM towards its path.
@@ -120,8 +102,8 @@ class Balance:
 
 @jit
 def _torques(
-    robot: _Robot, sensor: Sensor, dq: Array, gyro: Array, elapsed: float, goal: _Goal, edges: tuple[Array, Array],
-    gains: _Gains, soles: _Soles,
+    robot: _Robot, sensor: Place, dq: Array, gyro: Array, elapsed: float, goal: _Goal, edges: tuple[Array, Array],
+    gains: _Gains, soles: Soles,
 ) -> Array:  # fmt: skip
     """Return the joint torques (n,) [N m] of `Balance`."""
     com, J_com, lines, poses, up = robot
@@ -132,11 +114,7 @@ def _torques(
     c_d, v_d, a_d = com_path(s, goal.start, elapsed, goal.duration)
     a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, edges, gains)
     force = gains.mass * (GRAVITY * up + a)
-    tau: Array = force @ J_com
-    if soles.both:
-        x = compose(poses[soles.body], soles.pose)
-        other = point(x, soles.other_center)
-        tau -= borne_by_other(force, pressure, com, soles.center, other, soles.half, x, lines, soles.moves)
+    tau: Array = ground_torques(force, pressure, com, J_com, lines, poses, soles)
     return tau
 
 
