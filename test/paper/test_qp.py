@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.clarabel import ClarabelSolver
+from dqwalk_ros.paper.qp.problem import Problem
 from dqwalk_ros.support.errors import QPError
 from dqwalk_ros.walks.table import make_walk
 
@@ -80,6 +82,15 @@ def test_problems_of_other_sizes_do_not_disturb_a_careful_solution(monkeypatch):
     assert len(careful_ones) == 15
     sizes = {program.posed[3].size for program in solver._programs.values()}  # of b
     assert sizes == {m + 2 * n for m in (13, 4, 2)}
+
+
+def test_a_problem_on_which_clarabel_makes_no_progress_by_long_steps_is_solved():
+    """Of Poppy with free arms in double support, after a push."""
+    with np.load(Path(__file__).parents[1] / "data" / "no_progress.npz") as of:
+        problem = Problem(**of)
+    names = tuple(map(str, range(len(problem.w) + 2 * len(problem.c))))
+    problem = problem._replace(equalities=int(problem.equalities), names=names)
+    np.testing.assert_allclose(make_solver("clarabel").solve(problem).u, exact(problem), atol=1e-6)
 
 
 @pytest.mark.parametrize("far", [1e2, 1e4])

@@ -118,8 +118,8 @@ class _ClarabelProgram:
         settings.presolve_enable = False  # presolving would change the sparsity pattern
         # the problem is scaled already; linearly dependent rows, such as those of two held feet, may need both
         settings.equilibrate_enable = settings.iterative_refinement_enable = careful
-        if not careful:
-            settings.max_step_fraction = 0.9999  # steps almost up to the boundary: fewer iterations
+        # steps almost up to the boundary need fewer iterations, but may end there without progress
+        settings.max_step_fraction = 0.9 if careful else 0.9999
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12 if careful else 1e-14
         self._settings = settings
         self._P = np.arange(n), np.arange(n + 1), (n, n)
