@@ -53,15 +53,16 @@ def commanded_way(steps: Iterable[Phase]) -> float:
     steps : iterable of Phase
         The single supports that ended with a landing.
     """
-    way, before = 0.0, None
+    way, landed, last = 0.0, None, None
     for phase in steps:
         assert phase.swing_target is not None
-        if before is None:
+        if landed is None:
             kin = Kinematics(phase.model, phase.q_start, phase.base)
             before = DQ(kin.pose(kin.swing))
-        target = DQ(phase.swing_target)
-        way += 0.5 * float(np.linalg.norm((target.translation() - before.translation())[:2]))
-        before = target.conj()  # the foot that swings next, in the frame of the one that has landed
+        else:  # usually the other foot swings; after a stance it may be the same one
+            before = landed if phase.base is last else landed.conj()
+        landed, last = DQ(phase.swing_target), phase.base
+        way += 0.5 * float(np.linalg.norm((landed.translation() - before.translation())[:2]))
     return way
 
 

@@ -32,6 +32,9 @@ def test_the_commanded_way_is_that_of_the_middle_between_the_soles(trace):
         target = DQ.from_pose([0.05, side * abs(kin.point(kin.swing)[1]), 0.0]).vec8()
         steps.append(SimpleNamespace(model=trace.model, q_start=kin.q, base=support, swing_target=target))
     assert commanded_way(steps) == pytest.approx(0.025 + 0.05 + 0.05, abs=1e-12)
+    beside = DQ.from_pose(DQ(steps[-1].swing_target).translation() - [0.05, 0.0, 0.0]).vec8()
+    back = SimpleNamespace(**{**vars(steps[-1]), "swing_target": beside})  # after a stance the same foot swings again
+    assert commanded_way([*steps, back]) == pytest.approx(0.125 + 0.025, abs=1e-12)
     assert "moved 0.09 m, its steps cover 0.12 m" in shortfall(0.09, commanded_way(steps))
     assert not shortfall(0.11, commanded_way(steps))
     assert not shortfall(0.0, commanded_way([]))
