@@ -32,6 +32,7 @@ a file of rows is a list such as
       params: [rough]                 # as of --params
       cmd_vel: ["0.1,0,0.25,8"]       # as of --cmd-vel
       hands: 2.0                      # each hand gets a random pose every 2 s; needs params: [arms]
+      course: 20                      # another random course of 20 s for each seed, with a `push` in each of its legs
       seeds: 20                       # walks with sensors.seed 1 to 20; first: 101 for 101 to 120
     - {name: pushes of 0.50 N s, config: poppy_dynamic, push: 0.5}   # 8 directions, 2 feet, 4 moments of a step
     - {name: punches, config: poppy_dynamic, push: 0.3, anywhere: true}   # one per seed: random link, direction, moment

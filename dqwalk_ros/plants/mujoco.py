@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -36,6 +36,8 @@ _LEAST_FRICTION = 0.01
 """Least friction with which a stiffness of the contact can be stated: its pyramid must have a width."""
 _IMPEDANCE = 0.9
 """Constant contact impedance where the contact is stated in physical terms."""
+_PLACE = 1e-3
+"""Largest distance from a point of axes that pass through it [m]."""
 
 
 class PhysicsPlant(EnginePlant):
@@ -286,8 +288,8 @@ def _set_contact(mj: Any, body: int, stiffness: float, relaxation: float) -> Non
 def own_contacts(model: RobotModel, q: Array) -> Counter[str]:
     """Return in how many of the states q (N, n) links of the robot touch each other, by pairs as ``l_foot, r_foot``.
 
-    The shapes are the collision shapes of the URDF. Links that a joint connects, and pairs that touch in the first
-    state, are not counted.
+    The shapes are the collision shapes of the URDF. Links that a joint or joints at one place connect, such as those of
+    a hip, and pairs that touch in the first state are not counted.
 
     Raises
     ------
@@ -311,7 +313,24 @@ def own_contacts(model: RobotModel, q: Array) -> Counter[str]:
         pairs = {", ".join(sorted(names[geom] for geom in contact)) for contact in data.contact.geom}
         first = first if k else pairs
         found.update(pairs - first)
-    return found
+    return Counter({pair: count for pair, count in found.items() if not _at_one_place(mj, pair.split(", "))})
+
+
+def _at_one_place(mj: Any, pair: Sequence[str]) -> bool:
+    """Return whether the axes of all joints between two bodies pass through one point."""
+    data, chains = mujoco.MjData(mj), []
+    mujoco.mj_kinematics(mj, data)
+    for name in pair:
+        chain, body = set(), int(mj.body(name).id)
+        while body:
+            chain.add(body)
+            body = int(mj.body_parentid[body])
+        chains.append(chain)
+    between = [joint for joint in range(mj.njnt) if int(mj.jnt_bodyid[joint]) in chains[0] ^ chains[1]]
+    across = np.eye(3) - data.xaxis[between, :, None] * data.xaxis[between, None, :]
+    anchors = across @ data.xanchor[between, :, None]
+    point = np.linalg.pinv(across.sum(axis=0)) @ anchors.sum(axis=0)  # of least squares
+    return bool((np.linalg.norm(across @ point - anchors, axis=1) < _PLACE).all())
 
 
 def held_torques(model: RobotModel, q: Array, dq: Array, ddq: Array) -> tuple[Array, Array]:

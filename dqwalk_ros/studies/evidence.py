@@ -19,16 +19,17 @@ from dqwalk_ros.config import Config, find_share, load, overlaid, with_files
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.plants.base import Plant
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.ground import shortfall
-from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError, listed
-from dqwalk_ros.walks.course import Course
+from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
 
@@ -65,8 +66,11 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     first : int
     hands : float
         Interval after which each hand gets a new random pose in the trunk [s]; 0: none. Needs ``arms.joints``.
+    course : float
+        Duration of a course of random velocities, another one for each seed (`Course.random`) [s]; 0: none.
     push : float
-        Impulse of each push [N s], in 8 directions, on either foot, at 4 moments of a step; 0: walks without a push.
+        Impulse of each push [N s], in 8 directions, on either foot, at 4 moments of a step; 0: walks without a push. On
+        a random course: that of a push on a random link in each of its legs.
     anywhere : bool
         Whether each push is on a random link, in a random direction and moment (`Push.anywhere`), one for each seed.
     """
@@ -81,8 +85,14 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seeds: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 20
     first: Annotated[int, msgspec.Meta(ge=0, le=10**6)] = 1
     hands: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    course: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 0.0
     push: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
     anywhere: bool = False
+
+    @property
+    def steered(self) -> bool:
+        """Whether its walks follow commands of velocity."""
+        return bool(self.cmd_vel or self.course)
 
     def made(self) -> Config:
         """Return the configuration of the walks, without seed and engine.
@@ -94,9 +104,11 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """
         Course.parse(self.cmd_vel)
         made = with_files(overlaid(load(self.config), self.plant), map(Path, self.params))
-        made = made.updated(({"gait.steps": 0} if self.cmd_vel else {}) | self.set, source=self.name)
-        if self.cmd_vel and walk_type(made).phases(made):
-            raise ConfigError(f"{self.name}: cmd_vel steers a standing or dynamic walk with gait.steps: 0")
+        made = made.updated(({"gait.steps": 0} if self.steered else {}) | self.set, source=self.name)
+        if self.steered and walk_type(made).phases(made):
+            raise ConfigError(f"{self.name}: cmd_vel and course steer a standing or dynamic walk with gait.steps: 0")
+        if self.cmd_vel and self.course:
+            raise ConfigError(f"{self.name}: a walk follows either cmd_vel or a random course")
         if self.hands and not (made.arms.left_hand or made.arms.right_hand):
             raise ConfigError(f"{self.name}: hands need free arms: arms.joints with arms.left_hand or arms.right_hand")
         return made
@@ -167,7 +179,7 @@ def points(rows: Mapping[str, Row], engines: Sequence[str], sample: int = 0) -> 
     out: list[dict[str, Any]] = []
     for name, row in rows.items():
         every: list[dict[str, Any]] = [{"seed": row.first + k} for k in range(row.seeds)]
-        if row.push and not row.anywhere:
+        if row.push and not row.anywhere and not row.course:
             every = [
                 {"foot": foot, "direction": 2.0 * math.pi * k / _DIRECTIONS, "part": part}
                 for foot, k, part in itertools.product(("left", "right"), range(_DIRECTIONS), _PARTS)
@@ -185,7 +197,7 @@ def _evaluate(
     row, config = rows[point["row"]], configs[point["row"]].updated({"plant.name": point["engine"]})
     try:
         model = load_model(config.robot)
-        if row.push:
+        if row.push and not row.course:
             push = (
                 Push.anywhere(row.push, model, point["seed"])
                 if row.anywhere
@@ -194,8 +206,13 @@ def _evaluate(
             why = pushed(config, push)
             return WalkOutcome(not why, why)
         config = config.updated({"sensors.seed": point["seed"]})
-        controller, course = make_controller(config, model), Course.parse(row.cmd_vel)
-        orders = [course.steering(controller)] if row.cmd_vel else []
+        controller, plant = make_controller(config, model), make_plant(point["engine"], config, model)
+        course = Course.parse(row.cmd_vel)
+        if row.course:
+            course = Course.random(row.course, speeds(controller.walk), point["seed"])
+        orders = [course.steering(controller)] if row.steered else []
+        if row.course and row.push:
+            orders.append(_pushing(plant, course, row.push, model, config.dt, point["seed"]))
         if row.hands:
             orders.append(_reaching(controller, row.hands, point["seed"]))
 
@@ -203,7 +220,7 @@ def _evaluate(
             for order in orders:
                 order(time)
 
-        trace = simulate(controller, make_plant(point["engine"], config, model), before_step=before_step)
+        trace = simulate(controller, plant, before_step=before_step)
         if trace.interrupted:
             raise KeyboardInterrupt  # an interrupted walk has no outcome
         found = report.report(report.analyse(trace))
@@ -247,6 +264,22 @@ def _reaching(controller: VelocityController, interval: float, seed: int) -> Cal
     return order
 
 
+def _pushing(
+    plant: Plant, course: Course, impulse: float, model: RobotModel, dt: float, seed: int
+) -> Callable[[float], None]:
+    """Return what pushes a robot once in each leg of a course, with an impulse [N s] on a random link (`Push`)."""
+    ends = np.cumsum([leg.duration for leg in course.legs])
+    pushes = [Push.anywhere(impulse, model, 1000 * seed + k) for k in range(len(ends))]
+    begins = [end - leg.duration * (1.0 - push.part) for end, leg, push in zip(ends, course.legs, pushes, strict=True)]
+    loads = [push.load(model.mass, dt) for push in pushes]
+
+    def order(time: float) -> None:
+        if (k := int(np.searchsorted(begins, time, side="right")) - 1) >= 0:
+            plant.push(loads[k].force(0.0, dt) * pushes[k].towards, pushes[k].link)
+
+    return order
+
+
 def collect(
     rows: Mapping[str, Row], engines: Sequence[str], out: Path, *, sample: int = 0, force: bool = False, **options: Any
 ) -> list[tuple[dict[str, Any], WalkOutcome]]:
@@ -255,7 +288,9 @@ def collect(
     With `force` earlier results are discarded; other options and errors are those of `runner.run`.
     """
     configs, every = {name: row.made() for name, row in rows.items()}, points(rows, engines, sample)
-    walks = [(row.push, row.anywhere, row.cmd_vel, configs[name].flat()) for name, row in rows.items()]
+    walks = [
+        (row.push, row.anywhere, row.cmd_vel, row.course, row.hands, configs[name].flat()) for name, row in rows.items()
+    ]
     key = digest(next(iter(configs.values())), every, walks)
     store = Store(out / "walks.jsonl", key, every, WalkOutcome, force=force)
     done = run(functools.partial(_evaluate, rows, configs), store, **options)

@@ -31,6 +31,7 @@ from dqwalk_ros.studies.bisection import largest
 from dqwalk_ros.studies.loads import Bottle, ConstantForce, Load, drop, farthest_momentum
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.runner import Store, run
+from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, PlantError
 from dqwalk_ros.walks.table import make_controller, make_walk
 
@@ -90,6 +91,11 @@ class Push:
         links = [link for link, body in parts if body.mass >= _LEAST_PART * model.mass]
         foot, link = str(random.choice(MOMENTS[1:])), str(random.choice(links))
         return cls(foot, random.uniform(0.0, 2.0 * math.pi), impulse, part=random.uniform(0.0, 0.95), link=link)
+
+    @property
+    def towards(self) -> Array:
+        """Its direction in the world, a unit vector (3,)."""
+        return np.array([math.cos(self.direction), math.sin(self.direction), 0.0])
 
     def load(self, robot_mass: float, dt: float) -> Load:
         """Return what pushes a robot of a mass [kg], with a control period `dt` [s]."""
@@ -159,15 +165,14 @@ def pushed(config: Config, push: Push) -> str:
     model = load_model(varied.robot)
     controller, plant = make_controller(varied, model), make_plant(varied.plant.name or "physics", varied, model)
     load = push.load(model.mass, varied.dt)
-    towards = np.array([math.cos(push.direction), math.sin(push.direction), 0.0])
     began, why, transfer = math.inf, "", _transfer(varied)
     try:
         for state, _ in closed_loop(controller, plant):
             if began == math.inf and _due(controller, state.time, 0 if standing else pushed_at, push.part):
                 began = state.time
             truth = plant.truth if push.bottle else None
-            ahead = float(towards @ DQ(truth.pelvis).translation()) if truth else 0.0
-            plant.push(load.force(ahead, varied.dt) * towards if began <= state.time else np.zeros(3), push.link)
+            ahead = float(push.towards @ DQ(truth.pelvis).translation()) if truth else 0.0
+            plant.push(load.force(ahead, varied.dt) * push.towards if began <= state.time else np.zeros(3), push.link)
             if standing and state.time > min(began, transfer + _LATE) + _STANDS:
                 break
         if plant.fallen:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:  # the node pilot only publishes velocities
@@ -19,6 +21,10 @@ _LONGEST = 86_400.0
 """Longest duration of a leg [s]."""
 _TOO_FAST = 1e3
 """A velocity beyond the limits of any walk [m/s, rad/s]."""
+_LEG = 0.5, 4.0
+"""Shortest and longest leg of a random course [s]."""
+_ASKED = 1.5
+"""Largest velocity of a random course, in units of the largest one of the walk."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,18 @@ class Course:
                     f"such as 0.01,0,0.02,30, for at most a day, not '{text[:80]}'"
                 )
             legs.append(Leg(*numbers))
+        return cls(tuple(legs))
+
+    @classmethod
+    def random(cls, duration: float, most: Sequence[float], seed: int) -> Self:
+        """Return legs of random lengths and velocities for at least a duration [s].
+
+        Each velocity is zero in a third of the legs, else up to `_ASKED` times that in `most`, as `speeds` returns it.
+        """
+        rng, legs = np.random.default_rng(seed), list[Leg]()
+        while sum(leg.duration for leg in legs) < duration:
+            forward, left, turn = (rng.uniform(-_ASKED, _ASKED, 3) * most * (rng.random(3) > 1.0 / 3.0)).tolist()
+            legs.append(Leg(forward, left, turn, rng.uniform(*_LEG)))
         return cls(tuple(legs))
 
     @property

@@ -18,6 +18,7 @@ from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.studies import evidence, robustness
 from dqwalk_ros.studies.evidence import Row, WalkOutcome, bounds, points, read
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.table import make_controller
 
 
@@ -25,6 +26,7 @@ def test_the_shipped_rows_are_valid_and_each_is_walked_in_every_engine() -> None
     rows = read("evidence")
     every = points(rows, ("physics", "drake"))
     assert len(every) == 2 * sum(64 if row.push and not row.anywhere else row.seeds for row in rows.values())
+    assert len(points(read("arms"), ["physics"])) == 160
     sample = points(rows, ("physics", "drake"), 2)
     kept = {
         engine: [{**one, "engine": ""} for one in sample if one["engine"] == engine] for engine in ("physics", "drake")
@@ -99,7 +101,7 @@ def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: py
     with pytest.raises(ConfigError, match="'a' uses nosie; the sets are noise"):
         read(str(file))
     file.write_text("rows: [{name: a, config: poppy, cmd_vel: ['0.01,0,0,5'], set: {gait.steps: 4}}]\n")
-    with pytest.raises(ConfigError, match="a: cmd_vel steers a standing or dynamic walk"):
+    with pytest.raises(ConfigError, match="a: cmd_vel and course steer a standing or dynamic walk"):
         read(str(file))
     assert cli.main(["evidence", str(tmp_path / "none.yaml")]) == 2
     assert "none.yaml" in capsys.readouterr().err
@@ -145,6 +147,30 @@ def test_a_row_with_cmd_vel_is_steered_and_ends_after_its_course(monkeypatch: py
     assert outcome.speed is not None
     assert 0.005 < outcome.speed < 0.05
     assert outcome.touching is None
+
+
+def test_a_random_course_is_that_of_its_seed_with_a_push_in_each_leg() -> None:
+    row = read("arms")["random courses"]
+    config = row.made()
+    model = load_model(config.robot)
+    most = speeds(make_controller(config, model).walk)
+    course = Course.random(row.course, most, 7)
+    assert course == Course.random(row.course, most, 7) != Course.random(row.course, most, 8)
+    assert row.course <= course.duration < row.course + 4.0
+    asked = np.array([(leg.forward, leg.left, leg.turn) for leg in course.legs])
+    assert (np.abs(asked) <= 1.5 * np.array(most)).all()
+    given: list[tuple[np.ndarray, str]] = []
+    plant = SimpleNamespace(push=lambda force, link: given.append((force, link)))
+    order = evidence._pushing(plant, course, 0.2, model, config.dt, 7)
+    for time in np.arange(0.0, course.duration, config.dt):
+        order(time)
+    impulse = config.dt * np.linalg.norm([force for force, _ in given], axis=1).sum()
+    assert impulse == pytest.approx(0.2 * len(course.legs), rel=0.02)  # the last push may end after the course
+    with pytest.raises(ConfigError, match="either cmd_vel or a random course"):
+        Row("both", "poppy_dynamic", course=20.0, cmd_vel=["0.1,0,0,5"]).made()
+    steps = Row("steps", "poppy_dynamic", course=20.0, set={"gait.steps": 4})
+    with pytest.raises(ConfigError, match="cmd_vel and course steer"):
+        steps.made()
 
 
 @pytest.mark.long

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import walks
 
-from dqwalk_ros.config import Config, load, with_files
+from dqwalk_ros.config import Config, RobotConfig, load, with_files
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.model import load_model, parse_model
 from dqwalk_ros.support.errors import ConfigError, ModelError, StateError
 from dqwalk_ros.walks.arms import Arms, JointPath
 from dqwalk_ros.walks.table import make_controller, make_walk
@@ -25,6 +25,7 @@ from dqwalk_ros.walks.table import make_controller, make_walk
 QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "node.robot_description": False}
 CONFIG = with_files(load("poppy"), [Path("arms")]).updated({"gait.steps": 0, "gait.recover": "", **QUICK})
 MODEL = load_model(CONFIG.robot)
+SMALL = Path(__file__).parents[1] / "data" / "small_humanoid.urdf"
 ELBOW = MODEL.joint_names.index("l_elbow_y")
 WALKING = with_files(load("poppy_dynamic"), [Path("arms")]).updated({"gait.steps": 0, "plant.imu": False})
 ZERO = np.zeros(MODEL.n)
@@ -384,6 +385,9 @@ def test_the_engine_counts_contacts_between_links() -> None:
     assert found["l_forearm, pelvis"] == 2
     assert found["l_shin, r_shin"] == 1
     assert not own_contacts(MODEL, np.array([inward, inward]))  # as in the first state
+    small = parse_model(SMALL.read_text(), RobotConfig(pelvis="trunk", left_sole="l_foot", right_sole="r_foot"))
+    bent = small.posture(["?_hip_pitch=-1.0"])  # the boxes of hip and thigh overlap, two joints at one place apart
+    assert not own_contacts(small, np.array([np.zeros(small.n), bent]))
 
 
 # ---------------------------------------------------------------------- a load
@@ -393,7 +397,6 @@ def test_a_load_is_part_of_the_model_of_its_description_and_of_the_engine() -> N
     import mujoco
 
     from dqwalk_ros.plants.mujoco import build
-    from dqwalk_ros.robot.model import parse_model
 
     config = CONFIG.updated({"robot.payload": ("l_hand=0.3",), "robot.mass": 3.0})
     model = load_model(config.robot)
