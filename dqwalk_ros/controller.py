@@ -221,11 +221,11 @@ class VelocityController:
         self._solved = []
         self.solution = self._active.solved(now, self._solve)
         assert self.problem is not None  # the last one solved
-        u = np.minimum(np.maximum(self.solution.u, self.problem.lower), self.problem.upper)
-        u = _within(u, self._u, self.model.velocity_max)
+        u = _within(self.solution.u, self.problem.lower, self.problem.upper, self._u, self.model.velocity_max)
         effort = self._effort(kin, state, u)
         if effort is not None:
-            effort = self._tau = _within(effort, self._tau, self.model.effort_max)
+            most = self.model.effort_max
+            effort = self._tau = _within(effort, -most, most, self._tau, most)
         self._u = u
         self._learn(state, u, effort, dt)
         return Command(state.time, u, effort)
@@ -341,10 +341,10 @@ class VelocityController:
 
 
 @jit
-def _within(values: Array, before: Array, most: Array) -> Array:
-    """Return the numbers of a command (n,) within their limits, and changed by no more than these in a period.
+def _within(values: Array, lower: Array, upper: Array, before: Array, most: Array) -> Array:
+    """Return the numbers of a command (n,) within two bounds, within +-`most`, and changed by no more in a period.
 
     Walks and pushes stay below; a measurement that is wrong, but possible, is bounded so.
     """
     least, largest = np.maximum(before - most, -most), np.minimum(before + most, most)
-    return np.minimum(np.maximum(values, least), largest)
+    return np.minimum(np.maximum(np.minimum(np.maximum(values, lower), upper), least), largest)

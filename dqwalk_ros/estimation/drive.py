@@ -22,6 +22,7 @@ import numpy as np
 
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 
 __all__ = ["DriveWatch"]
 
@@ -113,12 +114,8 @@ class DriveWatch:
         self._samples.append((time, sample))
         if time - self._samples[0][0] < _SPAN - 1e-9:
             return
-        d = (sample - self._samples.popleft()[1]).T
-        if np.abs(rate[0]).max() > _MOVES:
-            self._products *= _FADE
-            self._count *= _FADE
-        self._products += d[:, :, None] * d[:, None]
-        self._count += 1.0
+        kept = _accumulate(self._products, sample, self._samples.popleft()[1])
+        self._count = kept * self._count + 1.0
         if time - self._solved > _SOLVE - 1e-9:
             self._solved = time
             self._solve(time)
@@ -166,6 +163,20 @@ class DriveWatch:
             self.delay, self._reference, self._since = delay - assumed, math.nan, self._time
             self._products[:], self._count = 0.0, 0.0
             self._samples.clear()
+
+
+@jit
+def _accumulate(products: Array, sample: Array, before: Array) -> float:
+    """Add the products (n, 4, 4) of the changes of a sample (4, n) since `before`; return what is kept of earlier ones.
+
+    That is all of them while the robot stands still.
+    """
+    kept, d = _FADE if np.abs(sample[1]).max() > _MOVES else 1.0, sample - before
+    for i in range(d.shape[1]):
+        for j in range(d.shape[0]):
+            for k in range(d.shape[0]):
+                products[i, j, k] = kept * products[i, j, k] + d[j, i] * d[k, i]
+    return kept
 
 
 def _fitted(products: Array, count: float) -> tuple[Array, Array]:

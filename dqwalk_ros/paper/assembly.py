@@ -257,8 +257,9 @@ class Assembly:
         stacked: tuple[Quantity, ...] = (*tasks, *every)
         functions = QUANTITY.table([type(item).function for item in stacked])
         n, tree = len(joint_names), kin.tree
-        columns = _slices([sum(feature.size or n for feature in item.watches) for item in stacked])
-        watched = Watched.of([feature for item in stacked[:-2] for feature in item.watches], tree)
+        watches = [item.watches for item in stacked]
+        columns = _slices([sum(feature.size or n for feature in features) for features in watches])
+        watched = Watched.of([*itertools.chain(*watches[:-2])], tree)
         observe(kin.bodies, watched)
         seen = [*(watched.s[at] for at in columns[:-2]), kin.q, kin.q]
         found = [_checked(item, s) for item, s in zip(stacked, seen, strict=True)]
@@ -297,7 +298,7 @@ class Assembly:
             self.rows,
             np.array(groups, dtype=np.int64).reshape(-1, 2),
         )
-        self._first = tuple(Watched.of(tasks[0].watches, tree)), functions[0], parameters[parts[0]], tasks[0].live
+        self._first = tuple(watched.first(len(watches[0]))), functions[0], parameters[parts[0]], tasks[0].live
         self._unlimited = np.full(n, np.inf)
 
     def __call__(

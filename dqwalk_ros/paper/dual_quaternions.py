@@ -112,11 +112,10 @@ class DQ:
     @classmethod
     def from_pose(cls, p: ArrayLike, r: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> Self:
         """Return the pose r + eps 1/2 p r of (U1); `p` [m] (..., 3), `r` unit quaternion (..., 4)."""
-        r = np.asarray(r, dtype=np.float64)
-        p = np.asarray(p, dtype=np.float64)
-        p4 = np.concatenate([np.zeros((*p.shape[:-1], 1)), p], axis=-1)
-        d = 0.5 * qmul(*np.broadcast_arrays(p4, r))
-        return cls(np.concatenate([np.broadcast_to(r, d.shape), d], axis=-1))
+        d = 0.5 * qmul(DQ(p).vec4(), np.asarray(r, dtype=np.float64))
+        x = np.empty((*d.shape[:-1], 8))
+        x[..., :4], x[..., 4:] = r, d
+        return cls(x)
 
     @classmethod
     def from_matrix(cls, rotation: ArrayLike, p: ArrayLike = (0.0, 0.0, 0.0)) -> Self:

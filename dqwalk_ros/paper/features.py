@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -235,7 +235,7 @@ class Watched(NamedTuple):
     J: Array
 
     @classmethod
-    def of(cls, features: Sequence[Feature], tree: SupportTree) -> Watched:
+    def of(cls, features: Sequence[Feature], tree: SupportTree) -> Self:
         """Return the features of a robot in the frame of a sole."""
         n = tree.moves.shape[1]
         placed = [feature.placed(tree) for feature in features]
@@ -247,6 +247,11 @@ class Watched(NamedTuple):
         size = int(ends[-1])
         places = np.column_stack([[body for body, _ in placed], np.append(0, ends[:-1]), ends])
         return cls(functions, places, local, np.empty(size), np.empty((size, n)))
+
+    def first(self, count: int) -> Self:
+        """Return the first features, in the same memory."""
+        end = int(self.places[count - 1, 2])
+        return type(self)(self.functions[:count], self.places[:count], self.local[:count], self.s[:end], self.J[:end])
 
 
 _call = _FEATURE.call

@@ -86,7 +86,9 @@ class EnginePlant(Plant):
         self._dt, self._count = config.dt, self._divide(config.dt)
         goals, settle = self._law.output(0.0)[0], max(1, round(config.physics.settle * self._count / config.dt))
         self._run(goals, settle - 1)
-        self._effort = self._run(goals, 1) - self._back_emf * self._joints()[1]
+        torque = self._run(goals, 1)
+        self._q, self._dq = self._joints()
+        self._effort = torque - self._back_emf * self._dq
         self._state = self._measured()
 
     @property
@@ -119,13 +121,14 @@ class EnginePlant(Plant):
         self._law.measure(self._state.q, now)
         if u is not None:
             self._law.command(u, tau, now, dt)
-        q, torque = self._joints()[0], np.zeros(self.model.n)
+        before, torque = self._q, np.zeros(len(self._q))
         while left:
             goals, until = self._law.output(now)
             steps = min(left, max(1, math.ceil((until - now) / h - 1e-6))) if until < math.inf else left
             torque += self._run(goals, steps)
             left, now = left - steps, self._time
-        moved = self._joints()[0] - q
+        self._q, self._dq = self._joints()
+        moved = self._q - before
         self._effort = (torque - self._back_emf * moved / h) / count
         if not math.isfinite(moved @ moved):
             raise PlantError("the simulation is not finite any more")
@@ -152,7 +155,7 @@ class EnginePlant(Plant):
             soles={foot: self._pose(model.soles[foot].frame) for foot in Foot},
             wrenches={foot: self._wrench(foot) for foot in Foot},
             com=self._com,
-            q=self._joints()[0],
+            q=self._q,
             effort=self._effort,
         )
 
@@ -178,10 +181,9 @@ class EnginePlant(Plant):
     def _measured(self) -> State:
         orientation, gyro = _imu(self._level, *self._imu_motion(), self._mounting, self._to_sensor)
         time = round(self._elapsed) * 1e-9  # rounded to nanoseconds, like a ROS stamp
-        q, dq = self._joints()
         # the acceleration of an exact sensor is computed only when `inertial` is read
         acceleration = _NO_ACCELERATION if self._sensors.exact else self._to_sensor @ self._acceleration()
-        exact = Reading(orientation, gyro, acceleration, q, dq, self._effort)
+        exact = Reading(orientation, gyro, acceleration, self._q, self._dq, self._effort)
         r = self._reading = self._sensors.measure(time, exact)
         felt = None if self._sensors.exact else r.acceleration
         feet = np.array([np.linalg.norm(self._wrench(foot)[:3]) for foot in Foot]) if self._foot_force else None

@@ -402,13 +402,14 @@ def _find_runaways(q: Array, goal: Array, most: Array, side: Array, nearest: Arr
 def _goals(
     wanted: Array, velocity: Array, dt: float, q: Array, pending: Array, window: float, lower: Array, upper: Array,
     offset: Array, lead: Array, goal: Array, fastest: Array, step: Array,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Return velocities within their limits [rad/s], and after one period the commanded positions [rad].
+) -> Array:  # fmt: skip
+    """Return velocities within their limits [rad/s], and after one period the commanded positions [rad], (4, n).
 
-    These are without and with the offsets and the lead [s], and the latter rounded; all have the shape (n,). The
-    command will find the joints at q + `pending`. A joint outside its range may only move towards it.
+    These are without and with the offsets and the lead [s], and the latter rounded. The command will find the joints at
+    q + `pending`. A joint outside its range may only move towards it.
     """
-    u, moved, shifted, rounded = np.empty((4, wanted.shape[0]))
+    out = np.empty((4, wanted.shape[0]))
+    u, moved, shifted, rounded = out
     for i in range(wanted.shape[0]):
         u[i], expected = min(max(velocity[i], -fastest[i]), fastest[i]), q[i] + pending[i]
         low, high = min(lower[i], wanted[i]), max(upper[i], wanted[i])
@@ -417,4 +418,4 @@ def _goals(
         least, most = goal[i] - dt * fastest[i], goal[i] + dt * fastest[i]
         shifted[i] = min(max(min(max(moved[i] + offset[i] + lead[i] * u[i], low), high), least), most)
         rounded[i] = np.rint(shifted[i] / step[i]) * step[i]
-    return u, moved, shifted, rounded
+    return out

@@ -23,6 +23,7 @@ import numpy as np
 from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
 from dqwalk_ros.robot.urdf_file import LARGEST
 from dqwalk_ros.support.arrays import Array
@@ -69,11 +70,16 @@ class Sole:
         """Middle of the rear edge, shape (3,) [m]."""
         return self.center - [0.5 * self.length, 0.0, 0.0]
 
-    @property
+    @functools.cached_property
     def corners(self) -> Array:
         """The four corners, counter-clockwise from the front left, shape (4, 3) [m]."""
         half = 0.5 * np.array([self.length, self.width, 0.0])
         return self.center + half * [[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]
+
+    @functools.cached_property
+    def outline(self) -> ConvexPolygon:
+        """The rectangle on the ground."""
+        return ConvexPolygon.hull(self.corners)
 
 
 @dataclass(frozen=True)

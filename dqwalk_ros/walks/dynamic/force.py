@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
+from dqwalk_ros.paper.geometry import moved_inside
 from dqwalk_ros.paper.statics import GRAVITY, Soles, ground_torques
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["approach", "converging", "feedforward", "ground_force"]
+__all__ = ["approach", "converging", "fed_back", "feedforward", "ground_force"]
 
 
 _ACCELERATION = 0.01
 """Time constant of the filter of the commanded accelerations [s]."""
+
+
+@jit
+def fed_back(z: Array, due: Array, xi: Array, gain: float, reaction: float, n: Array, d: Array, margin: float) -> Array:
+    """Return the commanded zero-moment point (2,): the planned z with feedback of the error of xi, within the soles.
+
+    `due` (2,) is the planned xi, `reaction` [m] the displacement along x by the swing leg; n (m, 2) and d (m,) are the
+    edges of the support polygon, and `margin` [m] is the distance that is kept from them.
+    """
+    z = z + (1.0 + gain) * (xi - due)
+    z[0] += reaction
+    inside: Array = moved_inside(z, n, d, margin)
+    return inside
 
 
 @jit

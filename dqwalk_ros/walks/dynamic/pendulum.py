@@ -154,8 +154,7 @@ class Pendulum:
 
     def measure(self, time: float, dt: float, xi: Array) -> None:
         """Include xi (2,) [m], measured at `time`, `dt` after the last one [s]."""
-        z = _in_effect(self._begins, self._points, time - 0.5 * dt)
-        self.smooth = _filtered(self.smooth, z, xi, self._omega, dt)
+        self.smooth = _filtered(self._begins, self._points, time, dt, self.smooth, xi, self._omega)
 
     def when_acting(self, time: float, c: Array, xi: Array) -> tuple[Array, Array]:
         """Return c and xi (2,) [m] when the command for the state at `time` [s] acts, from those at `time`."""
@@ -165,8 +164,7 @@ class Pendulum:
     def command(self, time: float, z: Array) -> None:
         """Note the zero-moment point z (2,) [m] that is commanded for the state at `time` [s]."""
         self.pressure = z
-        self._points[:-1], self._begins[:-1] = self._points[1:], self._begins[1:]
-        self._points[-1], self._begins[-1] = z, time + self._wait
+        _append(self._begins, self._points, time + self._wait, z)
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
@@ -183,7 +181,15 @@ def _in_effect(begins: Array, points: Array, time: float) -> Array:
     for k in range(1, begins.shape[0]):
         if begins[k] <= time:
             z = points[k]
-    return z.copy()
+    return z
+
+
+@jit
+def _append(begins: Array, points: Array, begin: float, z: Array) -> None:
+    """Replace the oldest of the `points` (m, 2) by z (2,), which acts from `begin` [s] on."""
+    for k in range(begins.shape[0] - 1):
+        begins[k], points[k] = begins[k + 1], points[k + 1]
+    begins[-1], points[-1] = begin, z
 
 
 @jit
@@ -204,7 +210,9 @@ def _later(
 
 
 @jit
-def _filtered(smooth: Array, z: Array, xi: Array, omega: Array, dt: float) -> Array:
+def _filtered(begins: Array, points: Array, time: float, dt: float, smooth: Array, xi: Array, omega: Array) -> Array:
     """Return the filtered xi (2,): that of `dt` [s] ago, moved as the pendulum, approaches the measured one."""
+    z = _in_effect(begins, points, time - 0.5 * dt)
     moved = smooth + dt * omega * (smooth - z)  # xi' = w (xi - z)
-    return moved + dt / (_SMOOTH + dt) * (xi - moved)
+    filtered: Array = moved + dt / (_SMOOTH + dt) * (xi - moved)
+    return filtered

@@ -8,9 +8,10 @@ is stable, from the last planned step to the current one.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,33 +57,47 @@ def before(a: Array, b: Array, end: Array, time: float, omega: Array) -> Array:
 
 
 @jit
-def _pressed(a: Array, b: Array, end: Array, duration: float, omega: Array, elapsed: float) -> tuple[Array, Array]:
-    """Return xi and z (2,) of `Pressed`."""
-    left = min(max(duration - elapsed, 0.0), duration)
-    z = b - left / duration * (b - a)
-    return before(z, b, end, left, omega), z
+def _pressed(a: Array, b: Array, end: Array, duration: float, omega: Array, times: Array) -> Array:
+    """Return xi and z of `Pressed`, shape (2, k, 2)."""
+    out = np.empty((2, times.shape[0], 2))
+    xi, z = out
+    for k in range(times.shape[0]):
+        left = min(max(duration - times[k], 0.0), duration)
+        z[k] = b - left / duration * (b - a)
+        xi[k] = before(z[k], b, end, left, omega)
+    return out
 
 
 @jit
-def _resting(start: Array, goal: Array, duration: float, omega: Array, elapsed: float) -> tuple[Array, Array]:
-    """Return xi and z (2,) of `Rest`."""
-    place, slope, _ = minimum_jerk(elapsed / duration)
-    way = goal - start
-    xi = start + place * way
-    return xi, xi - slope / duration * way / omega
+def _resting(start: Array, goal: Array, duration: float, omega: Array, times: Array) -> Array:
+    """Return xi and z of `Rest`, shape (2, k, 2)."""
+    out = np.empty((2, times.shape[0], 2))
+    xi, z = out
+    for k in range(times.shape[0]):
+        place, slope, _ = minimum_jerk(times[k] / duration)
+        way = goal - start
+        xi[k] = start + place * way
+        z[k] = xi[k] - slope / duration * way / omega
+    return out
 
 
-class Reference(Protocol):
+class Reference(ABC):
     """Planned divergent component xi and zero-moment point z during a phase of `duration` [s]."""
 
     duration: float
 
+    @abstractmethod
+    def at_each(self, times: Array) -> tuple[Array, Array]:
+        """Return xi and z (k, 2) [m] at the times (k,) [s] since the phase began."""
+
     def at(self, elapsed: float) -> tuple[Array, Array]:
         """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
+        (xi,), (z,) = self.at_each(np.array([elapsed]))
+        return xi, z
 
 
 @dataclass
-class Pressed:
+class Pressed(Reference):
     """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`.
 
     Attributes
@@ -103,14 +118,14 @@ class Pressed:
     duration: float
     omega: Array
 
-    def at(self, elapsed: float) -> tuple[Array, Array]:
-        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
-        xi, z = _pressed(self.a, self.b, self.end, self.duration, self.omega, elapsed)
+    def at_each(self, times: Array) -> tuple[Array, Array]:
+        """Return xi and z at some times; see `Reference`."""
+        xi, z = _pressed(self.a, self.b, self.end, self.duration, self.omega, times)
         return xi, z
 
 
 @dataclass
-class Rest:
+class Rest(Reference):
     """Reference of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends.
 
     Attributes
@@ -128,9 +143,9 @@ class Rest:
     duration: float
     omega: Array
 
-    def at(self, elapsed: float) -> tuple[Array, Array]:
-        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
-        xi, z = _resting(self.start, self.goal, self.duration, self.omega, elapsed)
+    def at_each(self, times: Array) -> tuple[Array, Array]:
+        """Return xi and z at some times; see `Reference`."""
+        xi, z = _resting(self.start, self.goal, self.duration, self.omega, times)
         return xi, z
 
 

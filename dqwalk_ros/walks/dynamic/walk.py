@@ -19,7 +19,7 @@ from dqwalk_ros.paper.constraints import FrameHeld
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMass, CenterOfMassOnGround, Direction, JointAngles
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import ConvexPolygon, Z, moved_inside
+from dqwalk_ros.paper.geometry import ConvexPolygon, Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
@@ -32,7 +32,7 @@ from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.com import com_and_xi
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
-from dqwalk_ros.walks.dynamic.force import approach, converging, feedforward, ground_force
+from dqwalk_ros.walks.dynamic.force import approach, converging, fed_back, feedforward, ground_force
 from dqwalk_ros.walks.dynamic.ground import Ground, turned
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
@@ -358,22 +358,21 @@ class DynamicWalk(SteppingWalk):
             change = self._adjust_step(flight, phase, c, t)
         elif isinstance(self._reference, Pressed):
             change = self._adjust_transfer(self._reference, phase, phase.rule, t)
-        now.xi, _ = self._reference.at(t)
+        acts, ahead = t + self._drive.delay, _AHEAD_OF_DELAY * self._advance
+        # until a sole is down, no pressure can move towards it
+        presses = acts - self._advance if phase.kind is PhaseKind.DOUBLE_SUPPORT else acts
+        (now.xi, due, _, later), (_, _, z, _) = self._reference.at_each(np.array([t, acts, presses, t + ahead]))
         # the error of xi that remains when the command acts is fed back
         c, xi = now.when_acting(state.time, c, xi)
-        due, z = self._reference.at(t + self._drive.delay)
-        if phase.kind is PhaseKind.DOUBLE_SUPPORT:  # until a sole is down, no pressure can move towards it
-            _, z = self._reference.at(t + self._drive.delay - self._advance)
-        z = z + (1.0 + self._gain) * (xi - due)
+        reaction = 0.0
         if flight is not None:  # the foot must be on the ground before the weight is transferred
             down = flight.rule.duration - _DOWN_AHEAD * self._advance
             place, velocity, acceleration = flight.swing.step(t, down)
             self._targets["swing"].set(turned(self._ground.tip(up, self._unsure), place), velocity)
-            z[0] += self.pendulum.swing * acceleration[0]
-        now.command(state.time, moved_inside(z, *self._support, self.config.standing.pressure_margin))
+            reaction = self.pendulum.swing * acceleration[0]
+        margin = self.config.standing.pressure_margin
+        now.command(state.time, fed_back(z, due, xi, self._gain, reaction, *self._support, margin))
         self._force = ground_force(c, now.pressure, omega, up)
-        ahead = _AHEAD_OF_DELAY * self._advance
-        later, _ = self._reference.at(t + ahead)
         self._targets["com"].set(*converging(now.c, now.xi, later, omega, ahead))
         self._climb.duration = phase.rule.duration
         above, rising = self._climb.at(t + ahead)
@@ -413,7 +412,7 @@ class DynamicWalk(SteppingWalk):
             return None if phase.decision or flight.lost < self._confirmed else self._landing(flight, phase)
         if flight.lost < self._confirmed:
             over, _ = left_over(step, xi, t, step.duration - t)
-            flight.lost = flight.lost + 1 if np.abs(over).max() > self._threshold else 0
+            flight.lost = flight.lost + 1 if max(map(abs, over.tolist())) > self._threshold else 0
             if flight.lost < self._confirmed:
                 return None
         rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
@@ -473,7 +472,8 @@ class DynamicWalk(SteppingWalk):
         self._tipped = kin.up if landed and self._ground.inclination(kin.up) > _TIPPED else None
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
         self._flight = None
-        corners, omega, rule = self.model.soles[phase.base].corners[:, :2], self.pendulum.omega, phase.rule
+        omega, rule, sole = self.pendulum.omega, phase.rule, self.model.soles[phase.base]
+        outline = sole.outline
         assert isinstance(rule, Timed)
         above = self._climb.end
         self._climb = Climb(above, above, rule.duration)
@@ -481,13 +481,14 @@ class DynamicWalk(SteppingWalk):
             self._reference = self._flight_reference(phase, kin, rule)
             self._climb.end = min(float(DQ(phase.swing_target).translation()[2]), 0.0)
         else:
-            corners = np.concatenate([corners, other.points(self.model.soles[phase.base.other].corners[:, :2])])
+            beside = other.points(self.model.soles[phase.base.other].corners[:, :2])
+            outline = ConvexPolygon.hull(np.concatenate([sole.corners[:, :2], beside]))
             if phase.kind is PhaseKind.STANCE:
                 middle = 0.5 * (self._aim(phase.base, Footprint()) + self._aim(phase.base.other, other))
                 self._reference = Rest(self._now.xi, middle, rule.duration, omega)
             else:
                 self._reference = self._transfer_reference(phase, other, rule, before)
-        self._support = ConvexPolygon.hull(corners).edges()
+        self._support = outline.edges()
         self._legs = kin.tree.frames[self.model.pelvis].moves
         alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
         both = phase.kind is not PhaseKind.SINGLE_SUPPORT

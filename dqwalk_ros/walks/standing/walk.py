@@ -120,7 +120,7 @@ class StandingWalk(SteppingWalk):
         s, model = self.config.standing, self.model
         sole, swing = model.soles[support], model.soles[support.other]
         inequalities: tuple[Constraint, ...] = (
-            self._edges(ConvexPolygon.hull(sole.corners)),
+            self._edges(sole.outline),
             PointsOverPlane(
                 name="clearance", eta=s.eta_edges, return_speed=s.recovery, frame=swing.frame, points=swing.corners,
                 plane=Plane(Z, 0.0),
