@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum, vfi
+from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum, sampled, vfi
 from dqwalk_ros.paper.features import QUANTITY, Quantity, Watched, observe
 from dqwalk_ros.paper.kinematics import Bodies, Kinematics, forward
 from dqwalk_ros.paper.qp.problem import Numbers, Problem, objective
@@ -228,6 +228,10 @@ class Assembly:
         Square roots of the weights of the tasks' rows.
     damping : float
         lambda of (U6).
+    near : ndarray, shape (l + m,)
+        Distance above its bound from which on a row is left out of the program (`Constraint.near`).
+    radius : ndarray, shape (l + m + 2n,)
+        R of `constraints.sampled`: the height of the CoM at the start; zero for the joint limits [m].
     """
 
     def __init__(
@@ -249,9 +253,8 @@ class Assembly:
         counts = [len(group) for group in names]
         self.rows = np.repeat([[c.bound, c.eta, c.return_speed] for c in every], counts, axis=0).T.copy()
         self.spans = {c.name: span for c, span in zip(every, _slices(counts), strict=True)}
-        near = np.repeat([c.near for c in constraints], counts[:-2])
-        self._near = near
-        self._always = not np.isfinite(near).any()
+        self.near = np.repeat([c.near for c in constraints], counts[:-2])
+        self._always = not np.isfinite(self.near).any()
         self.equality_rows = sum(counts[: len(equalities)])
 
         stacked: tuple[Quantity, ...] = (*tasks, *every)
@@ -291,6 +294,7 @@ class Assembly:
             np.empty(count),
         )
         self.damping = damping
+        self.radius = np.append(np.full(len(self.near), kin.com[2]), np.zeros(2 * n))
         self._form = (
             np.array([(eta if task.eta is None else task.eta, task.saturation) for task in tasks]),
             self.sqrt_weights,
@@ -317,13 +321,23 @@ class Assembly:
         )  # fmt: skip
         problem = Problem(*numbers, self.names)
         if not self._always:
-            enters = self._near
+            enters = self.near
             if dt is not None and velocity is not None:  # nothing beyond reaches its bound within a period
                 enters = np.maximum(enters, dt * np.abs(J[r:]) @ velocity)
             kept = ~(values[r:k] - self.rows[0, : k - r] >= enters)  # also what is not a number
             names = itertools.compress(self.names, [*kept, *[True] * (2 * n)])
             problem = problem._replace(W=problem.W[kept], w=w[kept], names=tuple(names))
         return Evaluation(self, values, J, problem, error)
+
+    def after(self, margins: Array, q: Array, q_after: Array, period: float, dt: float) -> Array:
+        """Return the least margins (l + m + 2n,) after a period [s] that began with some; see `constraints.sampled`.
+
+        The margin of an equality is -|d|. Of a body that is too far for a row it is only known that it does not touch.
+        """
+        turned, (_, eta, speed), rows = float(np.abs(q_after - q).sum()), self.rows, len(self.near)
+        least: Array = sampled(margins, eta, speed, dt, period, turned, self.radius)
+        least[:rows] = np.where(margins[:rows] >= self.near, -0.5 * self.radius[:rows] * turned**2, least[:rows])
+        return least
 
     def share(self, now: Evaluation, names: Collection[str]) -> tuple[Array, Array]:
         """Return H (n, n) and c (n,) of some tasks in the objective of the last evaluation, without damping."""

@@ -156,6 +156,11 @@ class Series:
         Distance of each inequality minus its bound: not negative while the inequality holds.
     residuals : dict of str to ndarray, shape (N,)
         Residual of each equality: zero while it holds.
+    spare : dict of str to ndarray, shape (N,)
+        Distance of each inequality less the least one that the sampled-data bound allows after the period before it,
+        per second (`Assembly.after`); nan at the start of a phase, inf where the program leaves out what is far.
+    held : dict of str to ndarray, shape (N,)
+        The same since the start of the phase, for equalities and inequalities: not negative while the bound holds.
     com, pelvis : ndarray, shape (N, 3)
         Centre of mass (U4) and pelvis in the base sole's frame [m].
     end : ndarray, shape (N, 8)
@@ -170,6 +175,8 @@ class Series:
     error: Array
     distances: dict[str, Array]
     residuals: dict[str, Array]
+    spare: dict[str, Array]
+    held: dict[str, Array]
     com: Array
     end: Array
     pelvis: Array
@@ -304,8 +311,7 @@ def analyse(trace: Trace) -> Series:
     model, config = trace.model, trace.config
     count = len(trace.time)
     task_error, com, seen = (np.full((count, *shape), np.nan) for shape in ((), (3,), (18,)))
-    kept: dict[str, Array] = {}
-    residuals: dict[str, Array] = {}
+    kept, residuals, spare, held = (dict[str, Array]() for _ in range(4))
     spans: list[Span] = []
     ends: list[Array | None] = [record.q_start for record in trace.phases[1:]]
     ends.append(trace.q[-1] if trace.finished else None)
@@ -324,11 +330,32 @@ def analyse(trace: Trace) -> Series:
             now = phase.evaluate(kin.q, kin.up)
             task_error[tick], com[tick], seen[tick] = now.error, kin.com, observe(kin)[0]
             margins[k] = now.margins
-        found = phase.assembly.by_name(margins)
-        for table, rows in ((residuals, phase.equalities), (kept, phase.constraints)):
+        at, by_name = slice(ticks.start, ticks.stop), phase.assembly.by_name
+        left, since = (by_name(values) for values in _sampled(phase, config.dt, trace.time[at], trace.q[at], margins))
+        found = by_name(margins)
+        for table, rows, values in (
+            (residuals, phase.equalities, found),
+            (kept, phase.constraints, found),
+            (spare, phase.constraints, left),
+            (held, (*phase.equalities, *phase.constraints), since),
+        ):
             for row in rows:
-                if row.name not in table:
-                    table[row.name] = np.full(count, np.nan)
-                table[row.name][ticks.start : ticks.stop] = found[row.name]
+                table.setdefault(row.name, np.full(count, np.nan))[at] = values[row.name]
     end, pelvis, ground = seen[:, :8], DQ(seen[:, 8:16]).translation(), seen[:, 16:]
-    return Series(trace, tuple(spans), task_error, kept, residuals, com, end, pelvis, ground)
+    return Series(trace, tuple(spans), task_error, kept, residuals, spare, held, com, end, pelvis, ground)
+
+
+def _sampled(phase: Phase, dt: float, time: Array, q: Array, margins: Array) -> tuple[Array, Array]:
+    """Return `Series.spare` and `Series.held` of each row of a phase of some ticks, both (ticks, rows)."""
+    made = phase.assembly
+    d = margins.copy()
+    d[:, : made.equality_rows] = -np.abs(d[:, : made.equality_rows])  # an equality converges from either side
+    spare, held, least = np.full(d.shape, np.nan), np.zeros(d.shape), d[0]
+    for k, period in enumerate(np.diff(time).tolist()):
+        given = q[k], q[k + 1], period, dt
+        spare[k + 1] = (d[k + 1] - made.after(d[k], *given)) / period
+        least = made.after(least, *given)
+        held[k + 1] = d[k + 1] - least
+    rows = len(made.near)
+    spare[1:, :rows][d[:-1, :rows] >= made.near] = np.inf
+    return spare, held

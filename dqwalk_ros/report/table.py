@@ -9,7 +9,7 @@ from typing import Any
 from dqwalk_ros.report.binding import Load
 from dqwalk_ros.support.text_table import aligned
 
-__all__ = ["distances", "numbers", "phases", "quasi_static", "render", "steps", "why"]
+__all__ = ["bounds", "numbers", "phases", "quasi_static", "render", "steps", "why"]
 
 _EDGE = 1e-5
 """Distance up to which the CoM counts as at the edge of its support [m]: the error of Euler's method."""
@@ -23,10 +23,7 @@ def render(report: Mapping[str, Any]) -> str:
     """Return the report (see `verdict.report`) as aligned text: phases, distances, the walk, the verdict."""
     head, *rows = phases(report)
     parts = [aligned(rows, head, right=(1, 2, 3, 4, 5, 7, 8))]
-    head, *rows = distances(report)
-    if len(rows) > 1:
-        columns = [[phase["minimum"].get(name, {}).get("value") for phase in report["phases"]] for name in head[1:]]
-        rows.append(["the whole walk", *(f"{min(d for d in column if d is not None):.4g}" for column in columns)])
+    head, *rows = bounds(report)
     parts.append(aligned(rows, head, right=range(1, len(head))))
     parts.append(aligned(numbers(report)))
     return "\n\n".join([*parts, _verdict(report)]) + "\n"
@@ -52,15 +49,21 @@ def phases(report: Mapping[str, Any]) -> list[list[str]]:
     return [head, *rows]
 
 
-def distances(report: Mapping[str, Any]) -> list[list[str]]:
-    """Return the head and the rows of a table of the least distance of each phase to each bound."""
-    names = list(dict.fromkeys(name for phase in report["phases"] for name in phase["minimum"]))
-    least = [
-        [f"{phase['minimum'][name]['value']:.4g}" if name in phase["minimum"] else "" for name in names]
-        for phase in report["phases"]
+def bounds(report: Mapping[str, Any]) -> list[list[str]]:
+    """Return the head and the rows of a table of how close each constraint came to its bounds in the walk."""
+    head = [
+        "constraint",
+        "least distance\nto its bound",
+        "at\n[s]",
+        "least margin to its\nsampled bound [1/s]",
+        "at\n[s]",
     ]
-    rows = [[phase["name"], *cells] for phase, cells in zip(report["phases"], least, strict=True)]
-    return [["least distance to the bound", *names], *rows]
+    rows = []
+    for name, found in report["walk"]["bounds"].items():
+        least = [found["distance"], found.get("spare")]
+        cells = [(f"{one['value']:.4g}", f"{one['time']:.2f}") if one else ("far", "") for one in least]
+        rows.append([name, *cells[0], *cells[1]])
+    return [head, *rows]
 
 
 def numbers(report: Mapping[str, Any]) -> list[tuple[str, str]]:

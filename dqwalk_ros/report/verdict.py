@@ -1,9 +1,8 @@
 """Checks of a walk: the assessment of a single state, the rules violated by a whole walk, and the report in numbers.
 
-The rules are those of the paper in discrete time, Groenwall's inequality for Euler's method: an inequality that begins
-at the distance d_0 stays above ``(1 - eta dt)^k d_0``, an equality that begins at the residual r_0 stays below
-``(1 - eta dt)^k |r_0|``; the end foot is on the ground in double support, every phase ends by its own rule, and every
-step lands on its target.
+The rules are those of the paper in sampled time: in every period a distance approaches its bound no faster than
+`constraints.sampled` allows, and so does the residual of an equality; the end foot is on the ground in double support,
+every phase ends by its own rule, and every step lands on its target.
 """
 
 from __future__ import annotations
@@ -176,25 +175,15 @@ def _landing(span: Span, ending: Ending) -> dict[str, float]:
     return {**place, "error": error, "angle": angle}
 
 
-def _groenwall(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:
-    """Yield name, smallest slack ``d[k] - (1 - eta dt)^k d[0]`` and its tick for each constraint of a phase.
+def _held(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:
+    """Yield name, smallest value of `Series.held` and its tick for each constraint of a phase.
 
-    An equality converges from either side: its slack is ``(1 - eta dt)^k |d[0]| - |d[k]|``.
+    The rows of a held sole, which return at a limited speed, depend on each other; none has a bound of its own.
     """
-    dt = series.trace.config.dt
-    k = np.round((series.time[span.ticks] - series.time[span.start]) / dt)
-    for table, rows, sign in (
-        (series.distances, span.phase.constraints, 1.0),
-        (series.residuals, span.phase.equalities, -1.0),
-    ):
-        for row in rows:
-            if math.isfinite(row.return_speed):
-                continue  # it returns at a fixed speed, not at the rate eta
-            d = table[row.name][span.ticks]
-            d = d if sign > 0.0 else -np.abs(d)
-            slack = d - _decay(row.eta, dt) ** k * d[0]
-            at = int(np.nanargmin(slack))
-            yield row.name, float(slack[at]), span.start + at
+    for row in (*span.phase.constraints, *(one for one in span.phase.equalities if math.isinf(one.return_speed))):
+        held = series.held[row.name][span.ticks]
+        at = int(np.nanargmin(held))
+        yield row.name, float(held[at]), span.start + at
 
 
 def _settled_height(series: Series, span: Span) -> tuple[float | None, int]:
@@ -216,10 +205,10 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
         if d[at] < -tolerance:
             text = f"{row.name} is {d[at]:.3g} beyond its bound"
             yield _broken(series, row.name, span.start + at, float(d[at]), -tolerance, text, name)
-    for what, slack, tick in _groenwall(series, span):
-        if slack < -tolerance:
-            text = f"{what} moved towards its bound faster than eta allows, by {-slack:.3g}"
-            yield _broken(series, f"groenwall/{what}", tick, slack, -tolerance, text, name)
+    for what, held, tick in _held(series, span):
+        if held < -tolerance:
+            text = f"{what} moved towards its bound faster than eta allows, by {-held:.3g}"
+            yield _broken(series, f"eta/{what}", tick, held, -tolerance, text, name)
     if span.double:
         height, tick = _settled_height(series, span)
         allowed = max(GROUND_TOLERANCE, tolerance)
@@ -338,10 +327,25 @@ def _quantiles(values: Array) -> dict[str, float]:
 
 
 def _least(series: Series, values: Array, ticks: slice = slice(None)) -> dict[str, float]:
-    """Return the smallest value over some ticks and its time."""
+    """Return the smallest value over some ticks, its time and its tick."""
     part = values[ticks]
     at = int(np.nanargmin(part))
-    return {"value": float(part[at]), "time": float(series.time[ticks][at])}
+    return {"value": float(part[at]), "time": float(series.time[ticks][at]), "tick": (ticks.start or 0) + at}
+
+
+def _bounds(series: Series) -> dict[str, dict[str, dict[str, float]]]:
+    """Return how close each constraint came to its bound in the walk, and each period to its sampled-data bound.
+
+    The second, ``spare``, is in the unit of the distance per second (`Series.spare`); it is left out for bodies that
+    were always too far apart for a row of the quadratic program.
+    """
+    out = {}
+    for name, distance in series.distances.items():
+        out[name] = {"distance": _least(series, distance)}
+        spare = np.where(np.isfinite(series.spare[name]), series.spare[name], np.nan)
+        if np.isfinite(spare).any():
+            out[name]["spare"] = _least(series, spare)
+    return out
 
 
 def _phase(series: Series, index: int, span: Span) -> dict[str, Any]:
@@ -368,7 +372,7 @@ def _phase(series: Series, index: int, span: Span) -> dict[str, Any]:
             for name, column in series.residuals.items()
             if np.isfinite(column[ticks]).any()
         },
-        "groenwall": {name: slack for name, slack, _ in _groenwall(series, span)},
+        "held": {name: held for name, held, _ in _held(series, span)},
         "margin": _margins(series, ticks),
     }
     if span.double:
@@ -413,6 +417,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
         "turned": float(yaw[-1] - yaw[0]),
         "landing_error": max((landing["error"] for landing in landings), default=None),
         "margin": _margins(series),
+        "bounds": _bounds(series),
         "closest_joint": trace.model.joint_names[joint],
         "joint_speed": {
             "largest": float(np.nanmax(np.abs(trace.u), initial=0.0)),

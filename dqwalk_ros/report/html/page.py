@@ -168,10 +168,13 @@ def replay(names: Sequence[str], more: str = "") -> str:
 
 
 def _margins(subject: Subject) -> str:
-    head, *rows = tables.distances(subject.report)
+    head, *rows = tables.bounds(subject.report)
     marked = [[bad(cell) if cell.startswith("-") else cell for cell in row] for row in rows]
-    note = "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; kept if not negative.</p>"
-    return table(head, marked, range(1, len(head))) + note
+    note = (
+        "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; kept if not negative. "
+        "The sampled bound is what eta allows in one period; far: no row was needed.</p>"
+    )
+    return table([name.replace("\n", " ") for name in head], marked, range(1, len(head))) + note
 
 
 def bad(text: str) -> Markup:
