@@ -28,7 +28,8 @@ velocity; mink, pink, placo and roboplan use their own tasks for the swing foot,
 their result from that of (U6).
 
 **Nodes**: a late state is one that the plant, which is the benchmark here, could not send on time while the
-controller was working; the bare loop sleeps to the same schedule and does nothing else.
+controller was working; the bare loop sleeps to the same schedule and does nothing else. A bare machine has no cache of
+compiled code.
 
 """
 
@@ -37,6 +38,7 @@ TITLES = {
     "cycle": "A long walk",
     "physics": "The physics loop",
     "nodes": "The controller as a node (ROS 2)",
+    "startup": "From the start of a program to its first answer",
     "studies": "A thousand walks",
 }
 """Title of each section, by the name of its benchmark."""
@@ -68,7 +70,7 @@ def main() -> None:
         print(f"{shown} ...", file=sys.stderr, flush=True)
         pythons = args.peers if "--peers" in command else [sys.executable]
         outs = [
-            subprocess.run([python, "-m", *command], capture_output=True, text=True, check=True).stdout.strip()
+            subprocess.run([python, "-m", *command], stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
             for python in pythons
         ]
         date = datetime.date.today().isoformat()
