@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 
 __all__ = ["CommandHistory"]
 
@@ -58,7 +59,7 @@ class CommandHistory:
             return np.zeros(len(self.motion))
         (t0, s0), (t1, s1) = sums[0], sums[1]
         fraction = min(max((begin - t0) / max(t1 - t0, 1e-9), 0.0), 1.0)
-        pending: Array = self.motion - (s0 + fraction * (s1 - s0))
+        pending: Array = _left(self.motion, s0, s1, fraction)
         return pending
 
     def motion_of(self, time: float, motion: Array, dt: float) -> Array:
@@ -72,3 +73,9 @@ class CommandHistory:
         """Remove the commands that ended before `begin` [s]."""
         while len(self._sums) > 1 and self._sums[1][0] <= begin:
             self._sums.popleft()
+
+
+@jit
+def _left(motion: Array, s0: Array, s1: Array, fraction: float) -> Array:
+    """Return what is left of a motion (n,) after a fraction of the way from s0 to s1 (n,)."""
+    return motion - (s0 + fraction * (s1 - s0))

@@ -265,7 +265,8 @@ class Assembly:
         watched = Watched.of([*itertools.chain(*watches[:-2])], tree)
         observe(kin.bodies, watched)
         seen = [*(watched.s[at] for at in columns[:-2]), kin.q, kin.q]
-        found = [_checked(item, s) for item, s in zip(stacked, seen, strict=True)]
+        given = [np.array(item.parameters, dtype=np.float64) for item in stacked]
+        found = [_checked(*one) for one in zip(stacked, functions, seen, given, strict=True)]
         sizes = found[: len(tasks)]
         for constraint, size, count in zip(every, found[len(tasks) :], counts, strict=True):
             if size != count:
@@ -275,7 +276,6 @@ class Assembly:
         rows = _slices([*sizes, *counts])
         self.task_spans = {task.name: row for task, row in zip(tasks, rows, strict=False)}
 
-        given = [np.asarray(item.parameters, dtype=np.float64) for item in stacked]
         parts, parameters = _slices([len(part) for part in given]), np.concatenate(given)
         live = [(item.live, parameters[part]) for item, part in zip(stacked, parts, strict=True)]
         self._live = [(numbers, copy[: len(numbers)]) for numbers, copy in live if numbers is not None]
@@ -377,16 +377,22 @@ class Assembly:
         return out
 
 
-def _checked(item: Quantity, s: Array) -> int:
+@jit
+def _shapes(function: int, s: Array, parameters: Array) -> tuple[int, tuple[int, int], int]:
+    """Return the number of values, the shape of the gradient, and the number of rates that a function returns."""
+    value, gradient, rate = _call(function, s, parameters, 0.0)
+    return value.shape[0], gradient.shape, rate.shape[0]
+
+
+def _checked(item: Quantity, function: int, s: Array, parameters: Array) -> int:
     """Return the number of values of a task or constraint; what else its function returns must have fitting shapes."""
-    value, gradient, rate = item.evaluate(s)
-    shapes, wanted = (gradient.shape, rate.shape), ((len(value), len(s)), value.shape)
-    if shapes != wanted:
+    count, gradient, rates = _shapes(function, s, parameters)
+    if gradient != (count, len(s)) or rates != count:
         raise ValueError(
-            f"{item.name}: gradient and rate of {len(value)} values of {len(s)} coordinates have the shapes "
-            f"{shapes[0]} and {shapes[1]}, not {wanted[0]} and {wanted[1]}"
+            f"{item.name}: gradient and rate of {count} values of {len(s)} coordinates have the shapes {gradient} and "
+            f"{(rates,)}, not {(count, len(s))} and {(count,)}"
         )
-    return len(value)
+    return int(count)
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:

@@ -184,6 +184,7 @@ def tilt(x: Array) -> Array:
     return out
 
 
+@jit
 def upward(w: float, i: float, j: float, k: float) -> Array:
     """Return the unit vector against gravity (3,) in a frame with the orientation w + i + j + k, of any norm.
 

@@ -344,8 +344,14 @@ class ServoGoals:
 
     def _offset_of(self, effort: Array) -> Array:
         """Return the offsets (n,) of the goals [rad] that produce torques, within the effort limits."""
-        out: Array = np.minimum(np.maximum(self._drive.angles(effort), -self._most), self._most)
+        out: Array = _clipped(self._drive.angles(effort), self._most)
         return out
+
+
+@jit
+def _clipped(values: Array, most: Array) -> Array:
+    """Return values (n,) within +-`most` (n,)."""
+    return np.minimum(np.maximum(values, -most), most)
 
 
 @jit

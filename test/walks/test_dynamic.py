@@ -448,7 +448,7 @@ def test_a_delay_moves_foot_pressure_and_reference_ahead(latency: float, monkeyp
     kin = Kinematics(MODEL, q, Foot.LEFT, up)
     walk.observe(both, kin, still(1.0, q, up, 0.0))
     planned = walk._reference
-    monkeypatch.setattr(planned, "at_each", lambda t: (asked.extend(t), type(planned).at_each(planned, t))[1])
+    monkeypatch.setattr(planned, "at", lambda t: (asked.append(t), type(planned).at(planned, t))[1])
     monkeypatch.setattr(dynamic_walk, "converging", lambda *numbers: (led.append(numbers), converging(*numbers))[1])
     walk.observe(both, kin, still(1.0 + config.dt, q, up, config.dt))
     assert {config.dt + drive.delay, config.dt + drive.delay - ahead} <= set(asked)

@@ -8,10 +8,9 @@ is stable, from the last planned step to the current one.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -57,47 +56,37 @@ def before(a: Array, b: Array, end: Array, time: float, omega: Array) -> Array:
 
 
 @jit
-def _pressed(a: Array, b: Array, end: Array, duration: float, omega: Array, times: Array) -> Array:
-    """Return xi and z of `Pressed`, shape (2, k, 2)."""
-    out = np.empty((2, times.shape[0], 2))
-    xi, z = out
-    for k in range(times.shape[0]):
-        left = min(max(duration - times[k], 0.0), duration)
-        z[k] = b - left / duration * (b - a)
-        xi[k] = before(z[k], b, end, left, omega)
+def _pressed(a: Array, b: Array, end: Array, duration: float, omega: Array, elapsed: float) -> Array:
+    """Return xi and z of `Pressed`, shape (2, 2)."""
+    out = np.empty((2, 2))
+    left = min(max(duration - elapsed, 0.0), duration)
+    z = b - left / duration * (b - a)
+    out[0], out[1] = before(z, b, end, left, omega), z
     return out
 
 
 @jit
-def _resting(start: Array, goal: Array, duration: float, omega: Array, times: Array) -> Array:
-    """Return xi and z of `Rest`, shape (2, k, 2)."""
-    out = np.empty((2, times.shape[0], 2))
-    xi, z = out
-    for k in range(times.shape[0]):
-        place, slope, _ = minimum_jerk(times[k] / duration)
-        way = goal - start
-        xi[k] = start + place * way
-        z[k] = xi[k] - slope / duration * way / omega
+def _resting(start: Array, goal: Array, duration: float, omega: Array, elapsed: float) -> Array:
+    """Return xi and z of `Rest`, shape (2, 2)."""
+    out = np.empty((2, 2))
+    place, slope, _ = minimum_jerk(elapsed / duration)
+    way = goal - start
+    xi = start + place * way
+    out[0], out[1] = xi, xi - slope / duration * way / omega
     return out
 
 
-class Reference(ABC):
+class Reference(Protocol):
     """Planned divergent component xi and zero-moment point z during a phase of `duration` [s]."""
 
     duration: float
 
-    @abstractmethod
-    def at_each(self, times: Array) -> tuple[Array, Array]:
-        """Return xi and z (k, 2) [m] at the times (k,) [s] since the phase began."""
-
     def at(self, elapsed: float) -> tuple[Array, Array]:
         """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
-        (xi,), (z,) = self.at_each(np.array([elapsed]))
-        return xi, z
 
 
 @dataclass
-class Pressed(Reference):
+class Pressed:
     """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`.
 
     Attributes
@@ -118,14 +107,14 @@ class Pressed(Reference):
     duration: float
     omega: Array
 
-    def at_each(self, times: Array) -> tuple[Array, Array]:
-        """Return xi and z at some times; see `Reference`."""
-        xi, z = _pressed(self.a, self.b, self.end, self.duration, self.omega, times)
+    def at(self, elapsed: float) -> tuple[Array, Array]:
+        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
+        xi, z = _pressed(self.a, self.b, self.end, self.duration, self.omega, elapsed)
         return xi, z
 
 
 @dataclass
-class Rest(Reference):
+class Rest:
     """Reference of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends.
 
     Attributes
@@ -143,9 +132,9 @@ class Rest(Reference):
     duration: float
     omega: Array
 
-    def at_each(self, times: Array) -> tuple[Array, Array]:
-        """Return xi and z at some times; see `Reference`."""
-        xi, z = _resting(self.start, self.goal, self.duration, self.omega, times)
+    def at(self, elapsed: float) -> tuple[Array, Array]:
+        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
+        xi, z = _resting(self.start, self.goal, self.duration, self.omega, elapsed)
         return xi, z
 
 

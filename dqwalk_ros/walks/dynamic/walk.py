@@ -358,12 +358,12 @@ class DynamicWalk(SteppingWalk):
             change = self._adjust_step(flight, phase, c, t)
         elif isinstance(self._reference, Pressed):
             change = self._adjust_transfer(self._reference, phase, phase.rule, t)
-        acts, ahead = t + self._drive.delay, _AHEAD_OF_DELAY * self._advance
-        # until a sole is down, no pressure can move towards it
-        presses = acts - self._advance if phase.kind is PhaseKind.DOUBLE_SUPPORT else acts
-        (now.xi, due, _, later), (_, _, z, _) = self._reference.at_each(np.array([t, acts, presses, t + ahead]))
+        now.xi, _ = self._reference.at(t)
         # the error of xi that remains when the command acts is fed back
         c, xi = now.when_acting(state.time, c, xi)
+        due, z = self._reference.at(t + self._drive.delay)
+        if phase.kind is PhaseKind.DOUBLE_SUPPORT:  # until a sole is down, no pressure can move towards it
+            _, z = self._reference.at(t + self._drive.delay - self._advance)
         reaction = 0.0
         if flight is not None:  # the foot must be on the ground before the weight is transferred
             down = flight.rule.duration - _DOWN_AHEAD * self._advance
@@ -373,6 +373,8 @@ class DynamicWalk(SteppingWalk):
         margin = self.config.standing.pressure_margin
         now.command(state.time, fed_back(z, due, xi, self._gain, reaction, *self._support, margin))
         self._force = ground_force(c, now.pressure, omega, up)
+        ahead = _AHEAD_OF_DELAY * self._advance
+        later, _ = self._reference.at(t + ahead)
         self._targets["com"].set(*converging(now.c, now.xi, later, omega, ahead))
         self._climb.duration = phase.rule.duration
         above, rising = self._climb.at(t + ahead)
