@@ -397,8 +397,7 @@ def _checked(item: Quantity, function: int, s: Array, parameters: Array) -> int:
 
 def _slices(sizes: Sequence[int]) -> list[slice]:
     """Return the slices of consecutive blocks of the given sizes."""
-    ends = np.cumsum(sizes).tolist()
-    return [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+    return [slice(end - size, end) for end, size in zip(itertools.accumulate(sizes), sizes, strict=True)]
 
 
 def _made(*given: Any) -> Assembly:

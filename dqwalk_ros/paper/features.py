@@ -9,6 +9,7 @@ returns d, dd/ds and the rate of d by time alone. A class of your own does the s
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -242,10 +243,10 @@ class Watched(NamedTuple):
         local = np.zeros((len(features), 8))
         for row, (_, part) in zip(local, placed, strict=True):
             row[: len(part)] = part
-        ends = np.cumsum([feature.size or n for feature in features], dtype=np.int64)
+        ends = [*itertools.accumulate(feature.size or n for feature in features)]
         functions = _FEATURE.table([type(feature).function for feature in features])
-        size = int(ends[-1])
-        places = np.column_stack([[body for body, _ in placed], np.append(0, ends[:-1]), ends])
+        size = ends[-1]
+        places = np.array([*zip((body for body, _ in placed), [0, *ends[:-1]], ends, strict=True)])
         return cls(functions, places, local, np.empty(size), np.empty((size, n)))
 
     def first(self, count: int) -> Self:
@@ -350,4 +351,5 @@ class Affine(Quantity):
     def parameters(self) -> Array:
         """Offset, its derivative by time, which is zero, and gradient, shape (2 k + k m,)."""
         A: Any = self.A
-        return np.concatenate([np.broadcast_to(self.b, len(A)), np.zeros(len(A)), np.ravel(A)])
+        zero = np.zeros(len(A))
+        return np.concatenate([zero + self.b, zero, np.ravel(A)])
