@@ -11,14 +11,11 @@ from __future__ import annotations
 
 import functools
 import math
-import pathlib
 from dataclasses import dataclass
 
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.collisions import segments_apart
-from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import JointAngles
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
@@ -27,15 +24,14 @@ from dqwalk_ros.paper.phase import Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Walk, joint_limits
+from dqwalk_ros.robot.clearance import Clearance, limbs
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.shapes import Shapes, capsule_around
-from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.following import minimum_jerk
 
-__all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "limbs", "path_of", "slots"]
+__all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "path_of", "slots"]
 
 
 NAME = f"{__name__}:Exercise"
@@ -63,9 +59,6 @@ _TRIES = 80
 """Number of candidate postures for each joint."""
 _MORE = 1000
 """The same, where none of these is clear of other links."""
-_CLEAR, _NEARER = 0.01, 0.005
-"""Least distance of links that are not neighbours, and by how much those that are nearer in the zero posture may
-approach each other [m]."""
 _LEAN = 1.2
 """Largest angle between a sole and the floor [rad]; a controller interprets a larger one as a fall."""
 
@@ -91,17 +84,6 @@ def exercise_config(config: Config, cycles: int = 1) -> Config:
             "safety.contradiction": 3.0,
         }
     )
-
-
-def limbs(model: RobotModel) -> list[list[int]]:
-    """Return the indices of the joints of each limb that the root carries, parents first."""
-    found: dict[int, list[int]] = {}
-    first = [0] * len(model.bodies)
-    for b, body in enumerate(model.bodies):
-        if body.joint >= 0:
-            first[b] = b if body.parent == 0 else first[body.parent]
-            found.setdefault(first[b], []).append(body.joint)
-    return list(found.values())
 
 
 @dataclass(frozen=True)
@@ -252,9 +234,6 @@ def _loaded(model: RobotModel, q: Array, joint: int, sweep: float) -> float:
 class _Clearance:
     """Checks motions for self-collision and for soles that are inclined too much.
 
-    Links are the capsules around their shapes, or points if these cannot be read. Those that more than two joints
-    connect keep `_CLEAR` apart or, where they are nearer in the zero posture, nearly as far as there.
-
     Attributes
     ----------
     nearest : str
@@ -262,45 +241,22 @@ class _Clearance:
     """
 
     def __init__(self, model: RobotModel) -> None:
-        self._model, self.nearest = model, "a sole that leans"
-        urdf = Urdf(model.urdf, model.name)
-        shapes = Shapes(urdf, pathlib.Path())
-        hulls, _ = shapes.hulls(list(urdf.links))
-        points = [name for name in urdf.links if name not in hulls and (not hulls or shapes.unread([name]))]
-        self._shapes = {name: capsule_around(corners) for name, corners in hulls.items()}
-        self._shapes |= {name: (np.zeros(3), np.zeros(3), 0.0) for name in points}
-        self._links = list(self._shapes)
-        chains = [model.chain(model.frames[name].body) for name in self._links]
-        first = [model.bodies[chain[1]].joint if len(chain) > 1 else -1 for chain in chains]  # of the limb
-        far = [(i, j) for j in range(len(chains)) for i in range(j) if len({*chains[i]} ^ {*chains[j]}) > 2]
-        self._pairs = np.array(far, dtype=np.int64).reshape(-1, 2)
-        self._limbs = np.array(first)[self._pairs]
-        radii = np.array([self._shapes[name][2] for name in self._links])
-        self._radii = radii[self._pairs].sum(axis=1)
-        zero = Kinematics(model, np.zeros(model.n), Foot.LEFT)
-        self._least = np.minimum(self._distances(zero) - _NEARER, _CLEAR)
+        self._model, self._links, self.nearest = model, Clearance(model), "a sole that leans"
 
     def __call__(self, moves: _Moves) -> bool:
         """Return whether the last limb of a motion is clear of itself, of the limbs before it and of the root."""
-        known = np.isin(self._limbs, [-1, *moves.limbs]).all(axis=1) & (self._limbs == moves.limbs[-1]).any(axis=1)
+        links = self._links
+        known = np.isin(links.limbs, [-1, *moves.limbs]).all(axis=1) & (links.limbs == moves.limbs[-1]).any(axis=1)
         for q in moves.samples():
             kin = Kinematics(self._model, q, Foot.LEFT)
             up = kin.direction(self._model.root, Z)
             if any(kin.direction(sole.frame, Z) @ up < math.cos(_LEAN) for sole in self._model.soles.values()):
                 return False
-            near = known & (self._distances(kin) < self._least)
+            near = known & (links.distances(q) < links.least)
             if near.any():
-                self.nearest = " and ".join(self._links[i] for i in self._pairs[int(np.argmax(near))])
+                self.nearest = links.names(int(np.argmax(near)))
                 return False
         return True
-
-    def _distances(self, kin: Kinematics) -> Array:
-        """Return the distances of the pairs [m]."""
-        ends = np.empty((len(self._links), 6))
-        for k, name in enumerate(self._links):
-            ends[k] = DQ(kin.pose(name)).transform_point(np.array(self._shapes[name][:2])).ravel()
-        apart: Array = segments_apart(ends, self._pairs) - self._radii
-        return apart
 
 
 def _motion(sweep: float) -> Array:

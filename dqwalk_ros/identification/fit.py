@@ -22,13 +22,13 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 from scipy.special import log_ndtr
 
-from dqwalk_ros.identification.exercise import limbs
 from dqwalk_ros.identification.replay import require_exercise
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.plants.base import upward
 from dqwalk_ros.plants.mujoco import held_torques
 from dqwalk_ros.plants.servo_goals import ServoGoals
+from dqwalk_ros.robot.clearance import limbs
 from dqwalk_ros.robot.servos import IDENTIFIED, Servos
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit

@@ -14,10 +14,11 @@ from dqwalk_ros import cli
 from dqwalk_ros.cli.identify import table
 from dqwalk_ros.config import Config, from_yaml, overlaid, with_files
 from dqwalk_ros.identification import fit
-from dqwalk_ros.identification.exercise import _Clearance, exercise_config, limbs, path_of
+from dqwalk_ros.identification.exercise import exercise_config, path_of
 from dqwalk_ros.identification.replay import replay
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Sensors
+from dqwalk_ros.robot.clearance import Clearance, limbs
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive, Servos
 from dqwalk_ros.simulation import simulate
@@ -119,7 +120,7 @@ def test_a_link_whose_shape_cannot_be_read_is_kept_clear_of_as_a_point() -> None
     head, name, rest = LEGS.urdf.partition('<link name="l_foot">')
     broken = re.sub(r"<box [^>]*/>", '<mesh filename="nowhere.stl" />', rest.split("</link>")[0])
     robot = dataclasses.replace(LEGS, urdf=head + name + "</link>".join([broken, *rest.split("</link>")[1:]]))
-    assert set(_Clearance(robot)._links) == set(_Clearance(LEGS)._links)
+    assert set(Clearance(robot)._links) == set(Clearance(LEGS)._links)
 
 
 def test_a_held_robot_keeps_its_pelvis_pose_and_has_no_contacts(legs) -> None:

@@ -15,6 +15,7 @@ from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.poppy.plant import MIN_SPEED, Motor, PoppyPlant, load_motors, register_speed
+from dqwalk_ros.robot.clearance import Clearance
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ConfigError, PlantError
 from dqwalk_ros.walks.table import make_controller
@@ -266,6 +267,30 @@ def test_the_motion_to_the_first_pose_is_slow() -> None:
     took = rig.memory.clock.now - began
     assert took >= math.radians(70.0) / CONFIG.poppy.start_speed - CONFIG.poppy.start_tolerance - DT
     assert np.abs(rig.plant.measured.q).max() < CONFIG.poppy.start_tolerance
+
+
+def test_the_way_to_the_first_pose_keeps_the_links_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From crossed legs, which would pass through each other on the straight way."""
+    from dqwalk_ros.plants.mujoco import own_contacts
+
+    whole = load_model(CONFIG.updated({"robot.lock": (), "robot.drop": ()}).robot)
+    rig = Rig(angles={"l_hip_x": -20.0, "r_hip_x": 30.0, "l_hip_y": 30.0, "r_hip_y": -30.0})
+    there = [rig.plant.names.index(name) for name in whole.joint_names]
+    rig.plant.activate()
+    way = [rig.plant.measured.q[there]]
+    while not rig.plant.ready:
+        rig.tick()
+        way.append(rig.plant.measured.q[there])
+        assert rig.memory.clock.now < 30.0, rig.faults
+    standing = np.zeros(whole.n)
+    assert not own_contacts(whole, np.array([standing, *way]))
+    straight = np.linspace(way[0], standing, 40)
+    assert own_contacts(whole, np.array([standing, *straight]))
+    monkeypatch.setattr(Clearance, "way", lambda *_: ([], "l_shin and r_shin"))
+    rig.plant.release()
+    with pytest.raises(PlantError, match="no way to the first pose keeps l_shin and r_shin apart: move them by hand"):
+        rig.plant.activate()
+    assert not rig.memory.torque("l_knee_y")
 
 
 def test_a_robot_without_torque_receives_no_goals(rig: Rig) -> None:

@@ -1,13 +1,14 @@
 """The servos of Poppy Humanoid as a plant, which is commanded by joint velocities and measures joint angles.
 
 The goals of the servos are those of `plants.servo_goals`. A servo accepts a goal position and a speed, which is never
-zero (unlimited speed to the servo). The motion to the first pose is slow, with a wide window, so that the servos carry
-the limbs without feedforward torques. A fault of a motor, a cable or the power supply stops the motion
-(`motor_watch.py`).
+zero (unlimited speed to the servo). The motion to the first pose is slow, on a way on which the links keep clear of
+each other (`robot.clearance`), with a wide window, so that the servos carry the limbs without feedforward torques. A
+fault of a motor, a cable or the power supply stops the motion (`motor_watch.py`).
 """
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import time
@@ -16,12 +17,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import numpy as np
 
-from dqwalk_ros.config import Config, PoppyConfig, find_share
+from dqwalk_ros.config import Config, PoppyConfig, RobotConfig, find_share
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Plant, checked
 from dqwalk_ros.plants.poppy.dynamixel import (
@@ -37,11 +38,14 @@ from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo,
 from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
 from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
 from dqwalk_ros.robot.limits import JointLimits
-from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.servos import Drive, Servos, ServoType, load_types
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, PlantError
+
+if TYPE_CHECKING:
+    from dqwalk_ros.robot.clearance import Clearance
 
 __all__ = ["Motor", "PoppyPlant", "load_motors", "open_buses", "register_speed", "typed"]
 
@@ -257,6 +261,9 @@ class PoppyPlant(Plant):
         self._speed = np.zeros(every)
         self._time, self._arrived_at = 0.0, np.inf
         self._resend = 0
+        self._clearance, whole = _of_all_joints(config.updated({"robot.lock": (), "robot.drop": ()}).robot)
+        self._places = [(k, whole[name]) for k, name in enumerate(self.names) if name in whole]
+        self._way = [self._first]
         try:
             self._identify_motors()
             self._read_all()
@@ -308,8 +315,11 @@ class PoppyPlant(Plant):
         """Set goals for the next `dt` [s], and the speeds of the servos."""
         before, law = self._law.goal, self._law
         if not self.ready:
-            limit = self._config.start_speed
-            law.command(np.clip((self._first - law.wanted) / dt, -limit, limit), None, self._clock(), dt)
+            if len(self._way) > 1 and np.abs(self._way[0] - law.wanted).max() < 1e-9:
+                del self._way[0]
+            ahead = self._way[0] - law.wanted  # straight: all joints of a part of the way arrive together
+            part = min(1.0, self._config.start_speed * dt / max(float(np.abs(ahead).max()), 1e-9))
+            law.command(part * ahead / dt, None, self._clock(), dt)
         elif moving:
             law.command(u, effort, self._clock(), dt)
         # fast enough to reach the goal within a period and to reduce the remaining error
@@ -410,8 +420,8 @@ class PoppyPlant(Plant):
         Raises
         ------
         PlantError
-            If a fault is present, or a motor is not the one of the table or does not confirm its registers; the torque
-            is then off.
+            If a fault is present, no way to the first pose keeps the links apart, or a motor is not the one of the
+            table or does not confirm its registers; the torque is then off.
         """
         self.ready = False
         self._law.end()
@@ -424,6 +434,7 @@ class PoppyPlant(Plant):
         else:
             raise PlantError("; ".join(faults.values()))
         self._identify_motors()
+        self._find_way()
         self._law.window = self._config.max_lead
         self._law.begin()
         self._speed[:], self._arrived_at = 0.0, np.inf
@@ -447,6 +458,22 @@ class PoppyPlant(Plant):
         if bad := self._confirm(lambda part, left: part.bus.write_torque(True, left), lambda _, __, r: r.torque):
             self.release()
             raise PlantError(f"the torque of {', '.join(bad)} did not switch on: all torque is off again")
+
+    def _find_way(self) -> None:
+        """Find postures that lead to the first pose without one link touching another."""
+        own, of_whole = map(list, zip(*self._places, strict=True))
+        begin, end = np.zeros(self._clearance.joints), np.zeros(self._clearance.joints)
+        begin[of_whole], end[of_whole] = self.measured.q[own], self._first[own]
+        way, nearest = self._clearance.way(begin, end)
+        if not way:
+            raise PlantError(
+                f"no way to the first pose keeps {nearest} apart: move them by hand, then ~/activate; no torque was "
+                "switched on"
+            )
+        self._way = []
+        for posture in way:
+            self._way.append(self._first.copy())
+            self._way[-1][own] = posture[of_whole]
 
     def release(self) -> None:
         """Switch the torque off and confirm it.
@@ -567,6 +594,15 @@ class PoppyPlant(Plant):
         before, then = m.q.copy(), m.at.copy()
         taken = self._law.measure(q, at)
         m.dq[taken] = np.nan_to_num((q[taken] - before[taken]) / np.maximum(at[taken] - then[taken], 1e-3))
+
+
+@functools.lru_cache(maxsize=2)
+def _of_all_joints(robot: RobotConfig) -> tuple[Clearance, dict[str, int]]:
+    """Return the distances of the links of a robot, and the index of each of its joints."""
+    from dqwalk_ros.robot.clearance import Clearance  # reads shapes, with much to import
+
+    model = load_model(robot)
+    return Clearance(model), {name: k for k, name in enumerate(model.joint_names)}
 
 
 def _difference(found: Identity, motor: Motor, kind: ServoType) -> str:
