@@ -29,16 +29,6 @@ __all__ = ["Balance"]
 _NO_EDGES = np.empty((0, 2)), np.empty(0)
 
 
-class _Robot(NamedTuple):
-    """The robot at a state: CoM (3,) and its Jacobian (3, n), joint lines (n, 6), poses of bodies, vertical (3,)."""
-
-    com: Array
-    J_com: Array
-    lines: Array
-    poses: Array
-    up: Array
-
-
 class _Goal(NamedTuple):
     """Path of the CoM: its start (2,) [m], its duration [s], and points (k, 3) of bodies, whose mean is its end."""
 
@@ -46,14 +36,6 @@ class _Goal(NamedTuple):
     duration: float
     bodies: Array
     points: Array
-
-
-class _Gains(NamedTuple):
-    """Gain of the feedback, margin of the pressure to the edges [m], and mass [kg]."""
-
-    feedback: float
-    margin: float
-    mass: float
 
 
 class Balance:
@@ -77,7 +59,7 @@ class Balance:
             self._goal = _Goal(path.start, path.duration, bodies, points)
         edges = next((constraint for constraint in phase.inequalities if isinstance(constraint, ComInsideEdges)), None)
         self._edges = edges.polygon.edges() if edges is not None else _NO_EDGES
-        self._gains = _Gains(standing.balance, standing.pressure_margin, model.mass)
+        self._gain, self._margin, self._mass = standing.balance, standing.pressure_margin, model.mass
         self._sensor = tree.frames[model.imu]
         self._soles = Soles.of(model, phase.base, both=self._both)
 
@@ -93,43 +75,48 @@ class Balance:
         dq, gyro = state.dq, NOT_MEASURED if state.gyro is None else state.gyro
         if dq is None:
             dq, gyro = np.zeros(kin.q.shape), NOT_MEASURED
-        robot = _Robot(kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up)
         tau: Array = _torques(
-            robot, self._sensor, dq, gyro, state.elapsed, self._goal, self._edges, self._gains, self._soles
-        )
+            kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up, self._sensor, dq, gyro, state.elapsed,
+            self._goal, *self._edges, self._gain, self._margin, self._mass, self._soles,
+        )  # fmt: skip
         return tau
 
 
 @jit
 def _torques(
-    robot: _Robot, sensor: Place, dq: Array, gyro: Array, elapsed: float, goal: _Goal, edges: tuple[Array, Array],
-    gains: _Gains, soles: Soles,
+    com: Array, J_com: Array, lines: Array, poses: Array, up: Array, sensor: Place, dq: Array, gyro: Array,
+    elapsed: float, goal: _Goal, n: Array, d: Array, gain: float, margin: float, mass: float, soles: Soles,
 ) -> Array:  # fmt: skip
-    """Return the joint torques (n,) [N m] of `Balance`."""
-    com, J_com, lines, poses, up = robot
+    """Return the joint torques (n,) [N m] of `Balance`.
+
+    `n` and `d` are the edges of the support polygon, and `margin` [m] is the distance of the pressure from them.
+    """
     v = moving_com(com, J_com, lines, poses, sensor, dq, gyro)
     s = np.zeros(2 + 3 * goal.bodies.shape[0])
     for j in range(goal.bodies.shape[0]):
         s[2 + 3 * j : 5 + 3 * j] = point(poses[goal.bodies[j]], goal.points[j])
     c_d, v_d, a_d = com_path(s, goal.start, elapsed, goal.duration)
-    a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, edges, gains)
-    force = gains.mass * (GRAVITY * up + a)
+    a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, n, d, gain, margin)
+    force = mass * (GRAVITY * up + a)
     tau: Array = ground_torques(force, pressure, com, J_com, lines, poses, soles)
     return tau
 
 
 @jit
 def _com_acceleration(
-    com: Array, up: Array, v: Array, c_d: Array, v_d: Array, a_d: Array, edges: tuple[Array, Array], gains: _Gains
+    com: Array, up: Array, v: Array, c_d: Array, v_d: Array, a_d: Array, n: Array, d: Array, k: float, margin: float
 ) -> tuple[Array, Array]:
-    """Return the horizontal acceleration (3,) of the CoM towards its path, and its centre of pressure (2,)."""
+    """Return the horizontal acceleration (3,) of the CoM towards its path, and its centre of pressure (2,).
+
+    `k` is the gain of the feedback; n, d and margin as in `_torques`.
+    """
     w2 = GRAVITY / max(up[0] * com[0] + up[1] * com[1] + up[2] * com[2], 0.05)
     w = math.sqrt(w2)
-    c, pressure, k = np.empty(2), np.empty(2), gains.feedback
+    c, pressure = np.empty(2), np.empty(2)
     for i in range(2):
         c[i] = com[i] - com[2] * (up[i] / up[2])
         a = a_d[i] - w2 * k * (c[i] - c_d[i]) - w * (1.0 + k) * (v[i] - v_d[i])
         pressure[i] = c[i] - a / w2
-    pressure = moved_inside(pressure, edges[0], edges[1], gains.margin)
+    pressure = moved_inside(pressure, n, d, margin)
     a0, a1 = w2 * (c[0] - pressure[0]), w2 * (c[1] - pressure[1])
     return np.array([a0, a1, -(a0 * up[0] + a1 * up[1]) / up[2]]), pressure
