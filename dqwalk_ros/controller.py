@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -67,8 +69,6 @@ class VelocityController:
     loads : ndarray, shape (2,), or None
         Force of the ground on the left and on the right sole along its vertical at the last state [N]; None if the
         torques of the joints are not measured.
-    error : float
-        Norm of the error of the phase's first task at the last state.
     problem, solution : Problem, Solution or None
         The last quadratic program and its solution.
     """
@@ -90,7 +90,7 @@ class VelocityController:
         self.phase_index = -1
         self.phase_began = math.nan
         self.finished = False
-        self.error = math.nan
+        self._error: Callable[[], float] = lambda: math.nan
         self.problem: Problem | None = None
         self.solution: Solution | None = None
         self._solved: list[Solution] = []  # for the last command: several while an arm presses on the body
@@ -114,6 +114,11 @@ class VelocityController:
         if self._phase is None:
             raise RuntimeError("a walk has no phase before its first step")
         return self._phase
+
+    @property
+    def error(self) -> float:
+        """Norm of the error of the phase's first task at the last state; nan before the first one."""
+        return self._error()
 
     @property
     def x_odom_base(self) -> Array:
@@ -209,12 +214,12 @@ class VelocityController:
             self._resume(state, held)
         elif self._taking_over is not None:
             self._begin_next_phase(state, self._kinematics(state, self.phase.base))
-        kin, error, now = self._evaluate(state, dt)
+        kin, now = self._evaluate(state, dt)
         self._last_state = state
-        while not self.finished and self._is_over(error, state.elapsed):
+        while not self.finished and self._is_over(state.elapsed):
             self._begin_next_phase(state, kin)
-            kin, error, now = self._evaluate(state, dt)
-        self.kin, self.error = kin, error
+            kin, now = self._evaluate(state, dt)
+        self.kin = kin
         if self.finished:
             return Command(state.time, np.zeros(self.model.n))
         state.elapsed += self.predictor.drive.delay
@@ -252,10 +257,10 @@ class VelocityController:
         if self.predictor.drive is not drive:
             self.walk.use(self.predictor.drive)
 
-    def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, float, Evaluation]:
-        """Return kinematics and error at `state`, and the evaluation at the predicted state at which the command acts.
+    def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, Evaluation]:
+        """Return the kinematics at `state`, and the evaluation at the predicted state at which the command acts.
 
-        All are those of the present phase, which the walk may update first.
+        Both are those of the present phase, which the walk may update first.
         """
         kin, state.elapsed = self._kinematics(state, self.phase.base), state.time - self.phase_began
         self.loads = state.loads = self._foot_loads.update(kin, state)
@@ -264,7 +269,8 @@ class VelocityController:
             self._taking_over = change.walk
         phase, delay = self.phase, self.predictor.drive.delay
         now = phase.evaluate(self.predictor.acting(state.time, state.q), kin.up, state.elapsed + delay, dt, self._limit)
-        return kin, phase.assembly.error(kin, state.elapsed) if delay > 0.0 else now.error, now
+        self._error = functools.partial(phase.assembly.error, kin, state.elapsed) if delay > 0.0 else lambda: now.error
+        return kin, now
 
     def _kinematics(self, state: State, base: Foot) -> Kinematics:
         kin = Kinematics.measured(self.model, state.q, base, state.up)
@@ -274,9 +280,9 @@ class VelocityController:
             raise StateError(f"the angle of {', '.join(bad)} is not finite")
         return kin
 
-    def _is_over(self, error: float, elapsed: float) -> bool:
+    def _is_over(self, elapsed: float) -> bool:
         try:
-            return self.phase.rule.is_over(error, elapsed)
+            return self.phase.rule.is_over(self._error, elapsed)
         except PhaseError as failure:
             raise failure.held_by(self.active) from failure
 

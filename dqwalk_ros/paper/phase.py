@@ -41,13 +41,13 @@ class PhaseKind(enum.Enum):
 class Rule(Protocol):
     """Condition that ends a phase; it is evaluated once for each state of the phase."""
 
-    def is_over(self, error: float, elapsed: float) -> bool:
+    def is_over(self, error: Callable[[], float], elapsed: float) -> bool:
         """Return whether the phase ends at the present state.
 
         Parameters
         ----------
-        error : float
-            Norm of the error of the phase's first task.
+        error : callable
+            Computes the norm of the error of the phase's first task.
         elapsed : float
             Time since the phase began [s].
 
@@ -223,26 +223,26 @@ class EndRule:
         self._slow_states = 0
         self._stall, self._timeout, self._dt = config.dsp.stall_rate, config.gait.phase_timeout, config.dt
 
-    def is_over(self, error: float, elapsed: float) -> bool:
+    def is_over(self, error: Callable[[], float], elapsed: float) -> bool:
         """Return whether the phase ends at the state with this error, by the switching rule of section 5."""
-        errors = self._errors
-        errors.append(error)
+        now, errors = error(), self._errors
+        errors.append(now)
         full = len(errors) == errors.maxlen
-        fall = errors[0] - error
+        fall = errors[0] - now
         if self._double:
-            if full and fall < self._stall and error < self._goal:
+            if full and fall < self._stall and now < self._goal:
                 return True
-        elif error < self._goal:
+        elif now < self._goal:
             return True
         timeout = self._timeout
         if elapsed > timeout:
-            raise self._failed(f"is not over after {timeout:g} s", error, stalled=False)
+            raise self._failed(f"is not over after {timeout:g} s", now, stalled=False)
         if full:
             # at the mean rate of the last window the goal is not reached within the timeout
-            too_slow = fall * timeout < (error - self._goal) * self._window
+            too_slow = fall * timeout < (now - self._goal) * self._window
             self._slow_states = self._slow_states + 1 if too_slow else 0
             if self._slow_states * self._dt > _STALLED_WINDOWS * self._window:
-                raise self._failed("has stalled", error, stalled=True)
+                raise self._failed("has stalled", now, stalled=True)
         return False
 
     def _failed(self, what: str, error: float, *, stalled: bool) -> PhaseError:
@@ -270,6 +270,6 @@ class Timed:
     def __init__(self, duration: float, waits: Callable[[], bool] = lambda: False) -> None:
         self.duration, self.begun, self._waits = duration, 0.0, waits
 
-    def is_over(self, error: float, elapsed: float) -> bool:
+    def is_over(self, error: Callable[[], float], elapsed: float) -> bool:
         """Return whether the time is up; see `Rule.is_over`."""
         return not self._waits() and elapsed + self.begun >= self.duration - 1e-9

@@ -54,7 +54,7 @@ def rule(kind, **changes):
 def ticks_until_over(rule, errors, active=("sliding",)):
     for k, error in enumerate(errors):
         try:
-            if rule.is_over(float(error), 0.005 * k):
+            if rule.is_over(error.item, 0.005 * k):
                 return k
         except PhaseError as failed:
             raise failed.held_by(active) from failed

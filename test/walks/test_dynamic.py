@@ -589,11 +589,11 @@ def test_sequence_of_phases() -> None:
 def test_a_steered_walk_ramps_its_steps_and_stops_with_feet_together() -> None:
     walk = DynamicWalk(CONFIG.updated({"gait.steps": 0}), MODEL)
     stance = walk.phase(PhaseKind.STANCE, Foot.LEFT, walk.posture)
-    assert not stance.rule.is_over(0.0, 100.0)  # it waits
+    assert not stance.rule.is_over(lambda: 0.0, 100.0)  # it waits
     fastest = CONFIG.gait.most_length / (0.5 - DYNAMIC.quicken)
     assert fastest == pytest.approx(0.2, abs=0.005)
     assert walk.steer(1.0, 0.0, 0.0)[0] == pytest.approx(fastest)
-    assert stance.rule.is_over(0.0, 100.0)
+    assert stance.rule.is_over(lambda: 0.0, 100.0)
     step, lengths = np.zeros(3), []
     for k in range(6):
         step, _ = walk._after(step, k, Foot.LEFT)

@@ -210,7 +210,7 @@ def test_balance_torques_follow_the_com_path_with_the_cop_inside_the_soles(kind:
 def test_a_phase_that_takes_too_long_names_its_time_limit() -> None:
     rule = PathEnd(CONFIG, PhaseKind.SINGLE_SUPPORT, "single_support/left")
     with pytest.raises(PhaseError, match=r"is not over after .*; gait\.phase_timeout may be too short$"):
-        rule.is_over(0.1, CONFIG.gait.phase_timeout + 1.0)
+        rule.is_over(lambda: 0.1, CONFIG.gait.phase_timeout + 1.0)
 
 
 @pytest.mark.parametrize("over", [(Point("l_sole"),), (Point("l_sole"), Point("r_sole"))])

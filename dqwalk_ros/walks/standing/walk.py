@@ -179,17 +179,17 @@ class PathEnd:
         self._goal = s.swing_threshold if swing else s.com_threshold
         self._timeout = config.gait.phase_timeout
 
-    def is_over(self, error: float, elapsed: float) -> bool:
+    def is_over(self, error: Callable[[], float], elapsed: float) -> bool:
         """Return whether the phase ends at the state with this error; see `phase.Rule.is_over`."""
         if self._waits():
             return False
-        if elapsed >= self._duration - 1e-9 and error < self._goal:
+        if elapsed >= self._duration - 1e-9 and error() < self._goal:
             return True
         if elapsed > self._timeout:
             raise PhaseError(
-                f"{self._name} is not over after {self._timeout:g} s at an error of {error:.4g} m "
+                f"{self._name} is not over after {self._timeout:g} s at an error of {error():.4g} m "
                 f"(it ends below {self._goal:.4g} m); gait.phase_timeout may be too short",
                 phase=self._name,
-                error=error,
+                error=error(),
             )
         return False
