@@ -248,7 +248,7 @@ class VelocityController:
         if state.up is None:
             return None
         effort = self._active.effort(self.phase, kin, state, u)
-        return effort if state.dq is None else effort - self.predictor.drive.damping * (state.dq - u)
+        return effort if state.dq is None else _damped(effort, self.predictor.drive.damping, state.dq, u)
 
     def _learn(self, state: State, u: Array, effort: Array | None, dt: float) -> None:
         """Include the command in the prediction, and tell the walk of another drive."""
@@ -344,6 +344,12 @@ class VelocityController:
                 raise explained(error, problem) from error
         self._solved.append(solution)
         return solution
+
+
+@jit
+def _damped(effort: Array, damping: Array, dq: Array, u: Array) -> Array:
+    """Return the torques of a command (n,) less the damping of the difference between measured and commanded rates."""
+    return effort - damping * (dq - u)
 
 
 @jit

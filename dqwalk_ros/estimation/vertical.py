@@ -34,13 +34,14 @@ def filtered_vertical(before: State, state: State) -> Array | None:
     """
     if before.up is None or before.gyro is None or state.up is None or state.gyro is None:
         return state.up
-    up: Array = _filtered(before.up, 0.5 * (before.gyro + state.gyro), state.up, state.time - before.time)
+    up: Array = _filtered(before.up, before.gyro, state.gyro, state.up, state.time - before.time)
     return up
 
 
 @jit
-def _filtered(before: Array, omega: Array, measured: Array, dt: float) -> Array:
-    """Return the vertical after dt [s] of the angular velocity omega (3,) [rad/s], corrected by the measured one."""
+def _filtered(before: Array, omega: Array, now: Array, measured: Array, dt: float) -> Array:
+    """Return the vertical after dt [s] at angular velocities from `omega` to `now` (3,), corrected by the measured."""
+    omega = 0.5 * (omega + now)
     turned = before + dt * np.cross(before, omega)  # a vector that is fixed in the world: up' = up x omega
     up = turned + dt / (_T + dt) * (measured - turned)
     return up / math.sqrt(up @ up)

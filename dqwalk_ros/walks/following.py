@@ -185,8 +185,8 @@ class Target:
     def __init__(self, place: Array, velocity: Array) -> None:
         self._size, self.numbers = len(place), np.concatenate([place, velocity])
 
-    def set(self, place: Array, velocity: Array) -> None:
-        """Set place and velocity, of the shapes that they began with."""
+    def set(self, place: Array | float, velocity: Array | float) -> None:
+        """Set place and velocity, of the shapes that they began with, or one number for all coordinates."""
         self.numbers[: self._size], self.numbers[self._size :] = place, velocity
 
 

@@ -37,7 +37,7 @@ class Ground:
 
     def observe(self, up: Array, dt: float) -> None:
         """Include the vertical `up` (3,) in axes of the supporting sole, `dt` [s] after the last one, in the mean."""
-        self._vertical = self._vertical + dt / (_MEMORY + dt) * (up - self._vertical)
+        self._vertical = _mean(self._vertical, up, dt)
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
@@ -56,6 +56,12 @@ class Ground:
         """
         x: Array = _towards(self._vertical, up, unsure)
         return x
+
+
+@jit
+def _mean(vertical: Array, up: Array, dt: float) -> Array:
+    """Return the mean vertical (3,), in which `up` (3,) is included, `dt` [s] after the last one."""
+    return vertical + dt / (_MEMORY + dt) * (up - vertical)
 
 
 @jit

@@ -150,7 +150,7 @@ class Pendulum:
 
     def advance(self, dt: float) -> None:
         """Move the reference of the CoM by `dt` [s], c' = w (xi - c)."""
-        self.c = self.c + dt * self._omega * (self.xi - self.c)
+        self.c = _converging(self.c, self.xi, self._omega, dt)
 
     def measure(self, time: float, dt: float, xi: Array) -> None:
         """Include xi (2,) [m], measured at `time`, `dt` after the last one [s]."""
@@ -172,6 +172,12 @@ class Pendulum:
             other.points(p) for p in (self.c, self.xi, self.smooth, self.pressure)
         )
         self._points = other.points(self._points)
+
+
+@jit
+def _converging(c: Array, xi: Array, omega: Array, dt: float) -> Array:
+    """Return c (2,) after `dt` [s], c' = w (xi - c)."""
+    return c + dt * omega * (xi - c)
 
 
 @jit

@@ -129,7 +129,7 @@ class DynamicWalk(SteppingWalk):
         self._force = GRAVITY * Z
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
         kin = Kinematics(model, self.posture, self._first)
-        self._height, self._trunk = kin.com[2:], _pitching(kin)  # height of the CoM in the posture, (1,) [m]
+        self._height, self._trunk = float(kin.com[2]), _pitching(kin)  # height of the CoM in the posture [m]
         self._climb = Climb(0.0, 0.0, 1.0)  # of the CoM over its height in the posture
         self.pendulum: InvertedPendulum
         self._inertia: dict[Foot, Array]  # (n, n) of the swing leg with its rotors, for each base sole [kg m^2]
@@ -304,7 +304,7 @@ class DynamicWalk(SteppingWalk):
                 weight=d.height_weight,
                 feature=CenterOfMass(),
                 selects=Z[None],
-                target=Target(self._height, np.zeros(1)),
+                target=Target(np.array([self._height]), np.zeros(1)),
                 eta=d.height_rate,
             ),
             Follow(
@@ -378,8 +378,8 @@ class DynamicWalk(SteppingWalk):
         self._targets["com"].set(*converging(now.c, now.xi, later, omega, ahead))
         self._climb.duration = phase.rule.duration
         above, rising = self._climb.at(t + ahead)
-        self._targets["height"].set(self._height + above, np.array([rising]))
-        self._targets["upright"].set(up[:2], np.zeros(2))
+        self._targets["height"].set(self._height + above, rising)
+        self._targets["upright"].set(up[:2], 0.0)
         return change
 
     def _keep_on_ground(self, phase: Phase, least: Array, up: Array) -> None:
