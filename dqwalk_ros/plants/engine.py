@@ -22,7 +22,7 @@ from dqwalk_ros.paper.geometry import X, Y
 from dqwalk_ros.paper.kinematics import Kinematics, quaternion_product
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
-from dqwalk_ros.plants.base import Inertial, Plant, Truth, checked, upward
+from dqwalk_ros.plants.base import Inertial, Plant, Truth, are_finite, checked, upward
 from dqwalk_ros.plants.sensors import Reading, Sensors
 from dqwalk_ros.plants.servo_goals import ServoGoals
 from dqwalk_ros.robot.model import RobotModel
@@ -128,9 +128,8 @@ class EnginePlant(Plant):
             torque += self._run(goals, steps)
             left, now = left - steps, self._time
         self._q, self._dq = self._joints()
-        moved = self._q - before
-        self._effort = (torque - self._back_emf * moved / h) / count
-        if not math.isfinite(moved @ moved):
+        self._effort = _mean_effort(torque, count, self._back_emf, before, self._q, h)
+        if not are_finite(self._q):
             raise PlantError("the simulation is not finite any more")
         self._elapsed += dt * 1e9
         self._state = self._measured()
@@ -271,6 +270,15 @@ def gravity_of(level: Array) -> Array:
     """Return gravity (3,) in the frame of the floor with the orientation `level` (4,) [m/s^2]."""
     out: Array = DQ(level).conj().rotation_matrix() @ np.array([0.0, 0.0, -GRAVITY])
     return out
+
+
+@jit
+def _mean_effort(torque: Array, count: int, back_emf: Array, before: Array, q: Array, h: float) -> Array:
+    """Return the mean torques (n,) [N m] of `count` steps of `h` [s] in which joints moved from `before` to q (n,).
+
+    `torque` (n,) is the sum without back EMF, which is `back_emf` (n,) times the velocity.
+    """
+    return (torque - back_emf * (q - before) / h) / count
 
 
 @jit
