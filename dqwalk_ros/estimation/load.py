@@ -20,7 +20,7 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, Place, compose, point, support_tree
+from dqwalk_ros.paper.kinematics import Kinematics, Place, point_at, support_tree
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
@@ -126,7 +126,7 @@ def _estimate(
         acceleration[:] = 0.0
     elif dt > 0.0:
         acceleration += _approach(dt) * ((dq - before) / dt - acceleration)
-    at_other = point(compose(poses[other.body], other.pose), other_center)
+    at_other = point_at(poses, other, other_center)
     tau = effort - armature * acceleration
     forces = _forces(lines, com, J_com, up, pelvis, other.moves, center, at_other, weight, tau)
     _filter(loads, np.array([forces[1], forces[0]]) if right else forces, dt, weight)

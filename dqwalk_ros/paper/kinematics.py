@@ -37,11 +37,13 @@ __all__ = [
     "SupportTree",
     "compose",
     "direction",
+    "direction_at",
     "forward",
     "jacobian",
     "multiply",
     "on_ground",
     "point",
+    "point_at",
     "pose_jacobian",
     "quaternion_product",
     "rotate",
@@ -198,6 +200,20 @@ def direction(x: Array, v: Array) -> Array:
     out = np.empty(3)
     rotate(x, v, out)
     return out
+
+
+@jit
+def point_at(poses: Array, place: Place, offset: Array) -> Array:
+    """Return the point (3,) at `offset` (3,) [m] in the frame at a place; `poses` (b, 8) are those of the bodies."""
+    p: Array = point(compose(poses[place.body], place.pose), offset)
+    return p
+
+
+@jit
+def direction_at(poses: Array, place: Place, v: Array) -> Array:
+    """Return the direction `v` (3,) of the frame at a place; `poses` (b, 8) are those of the bodies."""
+    d: Array = direction(compose(poses[place.body], place.pose), v)
+    return d
 
 
 @jit
@@ -372,7 +388,7 @@ class Kinematics:
 
     def point(self, frame: str, offset: Array = _ORIGIN) -> Array:
         """Position of the point at `offset` (3,) in a frame, shape (3,) [m]."""
-        p: Array = point(self.pose(frame), offset)
+        p: Array = point_at(self.poses, self.tree.frames[frame], offset)
         return p
 
     def point_jacobian(self, frame: str, offset: Array = _ORIGIN) -> Array:
@@ -383,7 +399,7 @@ class Kinematics:
 
     def direction(self, frame: str, v: Array) -> Array:
         """Direction `v` (3,) of a frame, in the base frame, shape (3,)."""
-        d: Array = direction(self.pose(frame), v)
+        d: Array = direction_at(self.poses, self.tree.frames[frame], v)
         return d
 
     def angular_jacobian(self, frame: str) -> Array:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.paper.kinematics import Kinematics, Place, compose, direction, jacobian, point
+from dqwalk_ros.paper.kinematics import Kinematics, Place, direction_at, jacobian, point_at
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
@@ -65,7 +65,7 @@ def _velocity(
     """Return the velocity (3,) of `com_velocity`."""
     v: Array = moving_com(com, J_com, lines, poses, sensor, dq, gyro)
     if share > 0.0:
-        p, J = point(compose(poses[swing.body], swing.pose), np.zeros(3)), np.empty(J_com.shape)
+        p, J = point_at(poses, swing, np.zeros(3)), np.empty(J_com.shape)
         jacobian(lines, swing.moves, p, 1.0, J)
         v -= share * moving_com(p, J, lines, poses, sensor, dq, gyro)
     return v
@@ -80,7 +80,7 @@ def moving_com(com: Array, J_com: Array, lines: Array, poses: Array, sensor: Pla
     v = J_com @ dq
     if gyro.shape[0] > 0:
         # the angular velocity of the base sole is that of the sensor minus that by the joints
-        omega = direction(compose(poses[sensor.body], sensor.pose), gyro)
+        omega = direction_at(poses, sensor, gyro)
         for i in range(lines.shape[0]):
             if sensor.moves[i]:
                 omega -= dq[i] * lines[i, :3]

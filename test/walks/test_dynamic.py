@@ -33,7 +33,7 @@ from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.dynamic import walk as dynamic_walk
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.force import converging
-from dqwalk_ros.walks.dynamic.ground import Ground, turned
+from dqwalk_ros.walks.dynamic.ground import Ground
 from dqwalk_ros.walks.dynamic.pendulum import Pendulum, angular_momentum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
@@ -374,13 +374,15 @@ def test_a_sole_that_tips_leaves_the_swing_foot_at_its_height_above_the_ground(s
     """Up to the dead zone of 0.5 degrees."""
     random = np.random.default_rng(seed)
     flat, up = random_vertical(random), random_vertical(random)
-    tip = Ground(flat).tip(up, math.radians(0.5))
-    seen = DQ(tip).Ad(DQ([0.0, *flat])).vec3()  # the vertical, as far as the sole is taken to have tipped
+    ground, unsure = Ground(flat), math.radians(0.5)
+    seen = (
+        DQ(ground.tip(up, unsure)).Ad(DQ([0.0, *flat])).vec3()
+    )  # the vertical, as far as the sole is taken to have tipped
     angle = math.acos(flat @ up)
     assert math.acos(flat @ seen) == pytest.approx(angle - math.radians(0.5))
     assert math.acos(seen @ up) == pytest.approx(math.radians(0.5))
     p, r = random.normal(size=3), random.normal(size=4)
-    moved = turned(tip, np.array([*p, *r / np.linalg.norm(r)]))
+    moved = ground.tipped(up, unsure, np.array([*p, *r / np.linalg.norm(r)]))
     assert seen @ moved[:3] == pytest.approx(flat @ p)
     before, after = DQ(r).P().normalized().conj().Ad(DQ([0.0, *flat])), DQ(moved[3:]).conj().Ad(DQ([0.0, *seen]))
     assert after.vec3() == pytest.approx(before.vec3())  # the vertical in axes of the swing sole

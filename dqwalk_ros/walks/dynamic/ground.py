@@ -16,7 +16,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
 
-__all__ = ["Ground", "turned"]
+__all__ = ["Ground"]
 
 
 _MEMORY = 2.0
@@ -48,6 +48,11 @@ class Ground:
         """Return the inclination of the sole with the vertical `up` (3,) against the ground, if small [rad]."""
         return float(np.linalg.norm(up - self._vertical))
 
+    def tipped(self, up: Array, unsure: float, place: Array) -> Array:
+        """Return a pose (7,), position and unit quaternion, of a flat sole in the axes of a tipped one; see `tip`."""
+        x: Array = _tipped(self._vertical, up, unsure, place)
+        return x
+
     def tip(self, up: Array, unsure: float) -> Array:
         """Return the rotation from a flat sole's axes to those of the sole with the vertical `up` (3,), vec8 (8,).
 
@@ -75,7 +80,8 @@ def _towards(a: Array, b: Array, less: float) -> Array:
 
 
 @jit
-def turned(x: Array, place: Array) -> Array:
-    """Return a pose (7,), position and unit quaternion, turned about the origin by the rotation `x`, vec8 (8,)."""
+def _tipped(a: Array, b: Array, less: float, place: Array) -> Array:
+    """Return a pose (7,), position and unit quaternion, turned about the origin as `_towards` does."""
+    x = _towards(a, b, less)
     r = quaternion_product(x[0], x[1], x[2], x[3], place[3], place[4], place[5], place[6])
     return np.concatenate((direction(x, place[:3]), np.array(r)))

@@ -33,7 +33,7 @@ from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.com import com_and_xi
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.force import approach, converging, fed_back, feedforward, ground_force
-from dqwalk_ros.walks.dynamic.ground import Ground, turned
+from dqwalk_ros.walks.dynamic.ground import Ground
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Climb, Swing
@@ -368,7 +368,7 @@ class DynamicWalk(SteppingWalk):
         if flight is not None:  # the foot must be on the ground before the weight is transferred
             down = flight.rule.duration - _DOWN_AHEAD * self._advance
             place, velocity, acceleration = flight.swing.step(t, down)
-            self._targets["swing"].set(turned(self._ground.tip(up, self._unsure), place), velocity)
+            self._targets["swing"].set(self._ground.tipped(up, self._unsure, place), velocity)
             reaction = self.pendulum.swing * acceleration[0]
         margin = self.config.standing.pressure_margin
         now.command(state.time, fed_back(z, due, xi, self._gain, reaction, *self._support, margin))
@@ -393,7 +393,7 @@ class DynamicWalk(SteppingWalk):
         for held in phase.equalities:
             if isinstance(held, FrameHeld):
                 x = held.pose
-                held.hold(turned(self._ground.tip(least, 0.0), np.array([*DQ(x).translation(), *x[:4]])))
+                held.hold(self._ground.tipped(least, 0.0, np.array([*DQ(x).translation(), *x[:4]])))
 
     @staticmethod
     def _share(phase: Phase, state: State) -> float:
