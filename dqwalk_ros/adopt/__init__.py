@@ -42,7 +42,8 @@ from dqwalk_ros.robot.servos import load_types
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.robot.urdf import Urdf, moves, zero_pose
-from dqwalk_ros.support.errors import ModelError, OutputError
+from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.errors import ModelError, OutputError, printable
 from dqwalk_ros.support.output import refuse_existing, write_text
 from dqwalk_ros.support.text_table import aligned
 
@@ -355,7 +356,7 @@ def table(found: Adoption) -> str:
 
 def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str, *, overwrite: bool) -> None:
     """Write parameters as a ROS parameter file, with the reason for each value in a comment beside it."""
-    lines = [f"# {title} `dqwalk config` explains each key.", "/**:", "  ros__parameters:"]
+    lines = [f"# {printable(title)} `dqwalk config` explains each key.", "/**:", "  ros__parameters:"]
     sections: dict[str, list[Entry]] = {}
     for entry in entries:
         sections.setdefault(entry.what.rpartition(".")[0], []).append(entry)
@@ -367,7 +368,7 @@ def write_yaml(path: pathlib.Path, entries: Sequence[Entry], title: str, *, over
         for entry in members:
             text = f"{indent}{entry.what.rpartition('.')[2]}: {_yaml_value(entry.value)}"
             note = entry.source + ("" if entry.confidence == "sure" else f" ({entry.confidence})")
-            lines.append(f"{text:<44}  # {note}")
+            lines.append(f"{text:<44}  # {printable(note)}")
     write_text(path, "\n".join(lines) + "\n", overwrite=overwrite)
 
 
@@ -375,10 +376,16 @@ def _yaml_value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(json.dumps(item) for item in value) + "]"
+        return "[" + ", ".join(map(_quoted, value)) + "]"
     if isinstance(value, str):
-        return value if value.replace("_", "").replace(".", "").isalnum() else json.dumps(value)
+        plain = value.replace("_", "").replace(".", "").isalnum() and strict_yaml.read(value) == value
+        return value if plain else _quoted(value)
     return repr(value)
+
+
+def _quoted(value: Any) -> str:
+    """Return a string or number in YAML, whatever characters a name of the robot has."""
+    return json.dumps(value, ensure_ascii=False) if printable(str(value)) == str(value) else json.dumps(value)
 
 
 def changed(entries: Sequence[Entry], changes: Mapping[str, Any], reason: str) -> list[Entry]:

@@ -34,7 +34,9 @@ def description_in(path: pathlib.Path) -> pathlib.Path:
     """
     if path.is_dir():
         for kind in _KINDS:
-            found = _without_parts(sorted(file for file in path.rglob(kind) if kind != "*.xml" or is_mjcf(file)))
+            found = _without_parts(
+                sorted(file for file in path.rglob(kind) if file.is_file() and (kind != "*.xml" or is_mjcf(file)))
+            )
             if len(found) == 1:
                 return found[0]
             if found:

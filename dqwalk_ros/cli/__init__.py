@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import click
 
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, ModelError, how_to_install
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, ModelError, how_to_install, printable
 from dqwalk_ros.support.interrupts import is_interrupt
 
 __all__ = ["FAILED", "OK", "USAGE", "dqwalk", "main"]
@@ -141,6 +141,5 @@ def _open_standard_streams() -> None:
 
 def _fail(error: object, code: int) -> int:
     """Print an error in one line without control characters, and return the exit code."""
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(error))
-    print(f"dqwalk: {line}", file=sys.stderr)
+    print(f"dqwalk: {printable(str(error))}", file=sys.stderr)
     return code

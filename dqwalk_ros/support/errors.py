@@ -18,6 +18,7 @@ __all__ = [
     "ViewerError",
     "how_to_install",
     "listed",
+    "printable",
     "shown",
 ]
 
@@ -26,6 +27,11 @@ def listed(names: Collection[str]) -> str:
     """Return some names that came from outside, for a message that fits on a line and cannot act on a terminal."""
     some = [shown(name) for name in sorted(names)[:12]]
     return ", ".join([*some, f"and {len(names) - 12} more"] if len(names) > 12 else some)
+
+
+def printable(text: str) -> str:
+    """Return a text in one line: control characters are escaped, as names from outside may contain them."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def shown(name: str) -> str:

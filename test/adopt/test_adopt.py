@@ -15,9 +15,10 @@ import trimesh
 from robots import edited
 
 from dqwalk_ros import cli
-from dqwalk_ros.adopt import Adoption, adopt, trial
+from dqwalk_ros.adopt import Adoption, adopt, trial, write_yaml
 from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
+from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.adopt.trial import Trial, dynamic_walks, legs_touching, too_much
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -29,6 +30,7 @@ from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.pushes import Push, pushed
+from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, ModelError
 from dqwalk_ros.walks.table import make_controller
 
@@ -85,6 +87,16 @@ def test_files_are_found_from_any_working_directory(
     values = [line for line in text.splitlines() if re.match(r"\s+\w+: \S", line)]
     assert all("  # " in line for line in values), "every value has its reason in a comment"
     assert re.search(r"eta: 2\.0 +# as for every robot \(default\)\n", text)
+
+
+def test_names_of_a_robot_are_only_names_in_its_configuration(tmp_path: Path) -> None:
+    file, evil = tmp_path / "robot.yaml", "x\n/**:\n  ros__parameters: {gait: {walk: 'os:system'}}"
+    names = ("on", "1", "1.5", "null", "a: b", "l knee ü✓", "\U0001f916", evil, "'\"\\#", "\x85\u2028\x7f", "")
+    for name in names:
+        entries = [Entry("robot.pelvis", name, f"link {name}"), Entry("robot.lock", [name, name], name)]
+        write_yaml(file, entries, f"{name}, adopted:", overwrite=True)
+        read = strict_yaml.read(file.read_text())
+        assert read == {"/**": {"ros__parameters": {"robot": {"pelvis": name, "lock": [name, name]}}}}
 
 
 def test_a_backward_facing_root_link_is_detected(tmp_path: Path) -> None:

@@ -752,6 +752,7 @@ def test_a_folder_an_archive_and_an_address_lead_to_the_description_or_say_what_
     one, two = (tmp_path / "my robot" / "urdf" / name for name in ("a.urdf", "b.urdf"))
     (tmp_path / "my robot" / "package.xml").write_text("<package/>")
     one.write_text("<robot/>")
+    (tmp_path / "folder.urdf").mkdir()
     assert description_in(one) == description_in(tmp_path) == one
     two.write_text("<robot/>")
     assert f"2 robot descriptions; give one: {one}, {two}" in said(tmp_path)
