@@ -239,6 +239,15 @@ class Battery:
         self.healed.clear()
         self.heal()
 
+    def move_by_hand(self) -> None:
+        """Move the limbs apart with the torque off, in a second."""
+        assert self.one.call("compliant", SetBool.Request(data=True)).success
+        places = {self.memory.servo(name): MOTORS[name].servo(0.0) for name in MOTORS}
+        for part in np.linspace(0.02, 1.0, 50):
+            for servo, zero in places.items():
+                servo.moved += part * (servo.kind.position(zero) - servo.moved)
+            self.tick(commands=False)
+
     def sequence(self) -> None:
         """Let things happen, end the states or the commands, and prepare for the next sequence."""
         self.sequences += 1
@@ -254,7 +263,10 @@ class Battery:
             if self.plant.ready and not self.plant.watch.faults:
                 return
             if not self.plant.active or self.plant.watch.lasting:
-                self.call("activate", Trigger.Request())
+                found = self.one.call("activate", Trigger.Request())
+                if "no way to the first pose" in found.message:  # random motions have entangled the limbs
+                    self.move_by_hand()
+                    continue
             self.tick(commands=False)
         raise AssertionError(f"the robot does not move again: {self.plant.watch.faults}")
 

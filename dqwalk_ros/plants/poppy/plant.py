@@ -467,8 +467,8 @@ class PoppyPlant(Plant):
         way, nearest = self._clearance.way(begin, end)
         if not way:
             raise PlantError(
-                f"no way to the first pose keeps {nearest} apart: move them by hand, then ~/activate; no torque was "
-                "switched on"
+                f"no way to the first pose keeps {nearest} apart: move them by hand, with ~/compliant if the torque is "
+                "on, then ~/activate; no torque was switched on"
             )
         self._way = []
         for posture in way:
