@@ -39,6 +39,7 @@ class CommandHistory:
         self.delay = delay
         self.motion = np.zeros(n)
         self._sums: deque[tuple[float, Array]] = deque()
+        _left(self.motion, self.motion, self.motion, 0.0)  # compiled here, so that the first command is not late
 
     def add(self, time: float, velocity: Array, dt: float) -> None:
         """Add the command u (n,) [rad/s] that answers the state at `time` [s], for the period `dt` [s]."""

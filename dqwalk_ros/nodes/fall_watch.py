@@ -17,6 +17,7 @@ from dqwalk_ros.plants.servo_goals import ServoGoals
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 
 __all__ = ["Contradictions", "FallWatch"]
 
@@ -58,6 +59,8 @@ class Contradictions:
         self._config, self._delay = config, Drive.of(config, model).delay
         self.largest, self.joint = 0.0, -1
         self.forget()
+        zero = np.zeros_like(self._off)  # compiled here, so that the first state is not answered late
+        _integrate(self._off, zero[0], zero[0], zero, zero, np.zeros(2))
 
     def forgive(self, joints: NDArray[np.intp]) -> None:
         """Clear the sums of some joints."""
@@ -90,15 +93,13 @@ class Contradictions:
         motions = self._asked(before, commanded, passed), passed * commanded
         most = np.array([late.motion_of(before.time, m, passed) for late, m in zip(self._late, motions, strict=True)])
         least = min(1.0, 2.0 * self._period / passed) * most
-        moved = state.q - before.q
-        beyond = moved - np.clip(moved, np.minimum(least, most), np.maximum(least, most))
-        self._off = np.exp(-passed / np.array(self.memory[:2]))[:, None] * (self._off + beyond)
-        worst = np.abs(self._off).max(axis=0)
-        self.largest = max(self.largest, float(worst.max()))
-        if worst.max() > (0.5 * self._limit if leaning else self._limit):
-            k = self.joint = int(worst.argmax())
+        asked_for, commanded_to, _ = (math.exp(-passed / memory) for memory in self.memory)
+        k, off = _integrate(self._off, state.q, before.q, least, most, np.array([asked_for, commanded_to]))
+        self.largest = max(self.largest, off)
+        if off > (0.5 * self._limit if leaning else self._limit):
+            self.joint = k
             return (
-                f"{self._model.joint_names[k]} does not follow its commands, it is {worst[k]:.2f} rad off: it is "
+                f"{self._model.joint_names[k]} does not follow its commands, it is {off:.2f} rad off: it is "
                 "blocked or without power, or its angle is frozen or has slipped"
             )
         if before.up is None or before.gyro is None or state.up is None:
@@ -126,6 +127,22 @@ class Contradictions:
         self._goals.command(commanded, None, before.time, passed)
         asked: Array = self._goals.wanted - wanted
         return asked
+
+
+@jit
+def _integrate(off: Array, q: Array, before: Array, least: Array, most: Array, kept: Array) -> tuple[int, float]:
+    """Add to the sums `off` (2, n), of which the parts `kept` (2,) remain, what joints moved beyond two limits (2, n).
+
+    Return the joint with the largest sum, and that [rad].
+    """
+    joint, largest = 0, 0.0
+    for i in range(off.shape[0]):
+        for k in range(q.shape[0]):
+            moved, low, high = q[k] - before[k], min(least[i, k], most[i, k]), max(least[i, k], most[i, k])
+            off[i, k] = kept[i] * (off[i, k] + (moved - min(max(moved, low), high)))
+            if abs(off[i, k]) > largest:
+                joint, largest = k, abs(off[i, k])
+    return joint, largest
 
 
 class FallWatch:

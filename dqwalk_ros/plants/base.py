@@ -16,7 +16,6 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import PlantError
 
 __all__ = ["Inertial", "Plant", "Truth", "are_finite", "checked", "orientation_of", "pushed_periods", "tilt", "upward"]
@@ -158,16 +157,15 @@ def checked(values: ArrayLike, n: int, what: str) -> Array:
     PlantError
         If their number is wrong, or one is not finite.
     """
-    out = np.ascontiguousarray(values, dtype=np.float64)
+    out = np.asarray(values, dtype=np.float64)
     if out.shape != (n,) or not are_finite(out):
         raise PlantError(f"the command must have {n} finite {what}, got {out}")
     return out
 
 
-@jit
 def are_finite(values: Array) -> bool:
-    """Return whether all values (n,) are finite, in a tenth of the time that numpy takes."""
-    return bool(np.isfinite(values).all())
+    """Return whether all values (n,) are finite, of a few in less time than numpy takes."""
+    return all(map(math.isfinite, values.tolist()))
 
 
 def pushed_periods(duration: float, dt: float) -> int:
@@ -184,7 +182,6 @@ def tilt(x: Array) -> Array:
     return out
 
 
-@jit
 def upward(w: float, i: float, j: float, k: float) -> Array:
     """Return the unit vector against gravity (3,) in a frame with the orientation w + i + j + k, of any norm.
 

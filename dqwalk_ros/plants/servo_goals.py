@@ -218,6 +218,7 @@ class ServoGoals:
         self.runaway, self._ran_away = np.zeros(n, np.bool_), False
         self.active = False
         zero = np.zeros(n)  # compiled here, so that the first command is not late
+        self._offset_of(zero)
         _find_runaways(zero, zero, self._most, self._side, self._nearest, self.runaway)
         _goals(zero, zero, 1.0, zero, zero, window, *self._range, zero, zero, zero, self._fastest, self._step)
         self._begin(gate.q.copy(), zero)
