@@ -181,7 +181,8 @@ class Phase:
         up : ndarray, shape (3,)
             Unit vector against gravity in the frame of `base`; by default z, a level sole.
         elapsed : float
-            Time since the phase began [s], for tasks that follow a path; by default infinity, the end of the path.
+            Time since the phase began [s], for tasks that follow a path and for moving obstacles; by default infinity,
+            the end of the path.
         dt : float
             Control period [s]: rates are limited to 1/dt; by default they are not.
         velocity : ndarray, shape (n,)
@@ -190,8 +191,8 @@ class Phase:
         return self.assembly(q, up, elapsed, dt, velocity)
 
     def distances(self, q: Array) -> dict[str, float]:
-        """Return each signed distance minus its bound at `q` (n,), by name; see `Evaluation.distances`."""
-        return self.evaluate(q).distances()
+        """Return each signed distance minus its bound at `q` (n,) when it begins; see `Evaluation.distances`."""
+        return self.evaluate(q, elapsed=0.0).distances()
 
 
 _STALLED_WINDOWS = 10

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -327,9 +328,9 @@ def analyse(trace: Trace) -> Series:
         margins = np.empty((len(ticks), len(phase.assembly.names)))
         for k, tick in enumerate(ticks):
             kin = Kinematics.measured(model, trace.q[tick], phase.base, trace.up(tick))
-            now = phase.evaluate(kin.q, kin.up)
-            task_error[tick], com[tick], seen[tick] = now.error, kin.com, observe(kin)[0]
-            margins[k] = now.margins
+            margins[k] = phase.evaluate(kin.q, kin.up, trace.time[tick] - trace.time[ticks.start]).margins
+            task_error[tick] = phase.assembly.error(kin, math.inf)  # from the end of a path
+            com[tick], seen[tick] = kin.com, observe(kin)[0]
         at, by_name = slice(ticks.start, ticks.stop), phase.assembly.by_name
         left, since = (by_name(values) for values in _sampled(phase, config.dt, trace.time[at], trace.q[at], margins))
         found = by_name(margins)

@@ -85,9 +85,9 @@ class Assessor:
         """
         monitor = monitor or self.config.monitor
         ticks = max(elapsed, 0.0) / self.config.dt
-        now = self.phase.evaluate(kin.q, kin.up)
-        distances = now.distances()
-        values: dict[str, float] = {"error": float(now.error), "time in phase": elapsed}
+        distances = self.phase.evaluate(kin.q, kin.up, elapsed).distances()
+        error = self.phase.assembly.error(kin, math.inf)  # from the end of a path
+        values: dict[str, float] = {"error": error, "time in phase": elapsed}
         broken: list[str] = []
         close: list[str] = []
         for name, start, decay in self._held:

@@ -40,6 +40,18 @@ def test_the_report_and_the_monitor_evaluate_the_constraint(walked):
     assert values["distance/com_above"] == pytest.approx(kin.com[2] - 0.25)
 
 
+def test_the_report_and_the_monitor_know_where_a_moving_obstacle_is():
+    config = CONFIG.updated({"gait.walk": "own_walk:AroundABall"})
+    trace = simulate(make_controller(config, MODEL), KinematicPlant(MODEL), max_time=1.0)
+    series = analyse(trace)
+    away = np.linalg.norm(series.com - [0.3, 0.0, 0.3] + np.outer(trace.time, [0.1, 0.0, 0.0]), axis=1) - 0.1
+    np.testing.assert_allclose(series.distances["ball"], away, atol=1e-12)
+    assert report(series)["walk"]["bounds"]["lean"]["distance"]["value"] > 0.0
+    kin = Kinematics(MODEL, trace.q[-1], trace.phases[0].base)
+    values = Assessor(config, MODEL, trace.phases[0].phase(config, MODEL))(kin, trace.time[-1]).values
+    assert values["distance/ball"] == pytest.approx(away[-1])
+
+
 def test_the_page_shows_the_constraint(walked):
     _, trace = walked
     view = Scene(CONFIG, MODEL).look(Moments(trace).at(20))

@@ -6,10 +6,12 @@ import dataclasses
 
 import numpy as np
 
+from dqwalk_ros.paper.collisions import AxisInCone, PointOutsideSphere
 from dqwalk_ros.paper.constraints import Constraint, Look, Region
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.features import CenterOfMass
+from dqwalk_ros.paper.features import CenterOfMass, Direction
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.phase import Next, PhaseKind
 from dqwalk_ros.paper.walk import PaperWalk
 from dqwalk_ros.support.compiled import jit
@@ -44,6 +46,17 @@ class HighWalk(PaperWalk):
         look = Look("CoM over the table", (1, 2, 3))
         high = ComAbove(name="com_above", eta=5.0, height=0.25, look=look)
         return dataclasses.replace(phase, inequalities=(*phase.inequalities, high))
+
+
+class AroundABall(PaperWalk):
+    """The paper's walk, whose CoM is to stay out of a ball that rolls past, and whose trunk is to stay upright."""
+
+    def both_feet(self, kind, support, kin):
+        phase = super().both_feet(kind, support, kin)
+        ball = {"center": np.array([0.3, 0.0, 0.3]), "velocity": np.array([-0.1, 0.0, 0.0]), "radius": 0.1}
+        out = PointOutsideSphere(name="ball", eta=5.0, point=CenterOfMass(), **ball)
+        upright = AxisInCone(name="lean", eta=5.0, axis=Direction("pelvis", Z), center=Z, angle=0.2)
+        return dataclasses.replace(phase, inequalities=(*phase.inequalities, out, upright))
 
 
 @dataclasses.dataclass(frozen=True)
