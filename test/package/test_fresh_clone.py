@@ -1,6 +1,7 @@
 """Every target of the Makefile, and every command of README's tables and code blocks, works in a clone of its own.
 
 The clone is of the last commit. It has its own .venv and its own cache; of this machine only pip's settings and cache.
+`python -m pytest -m long -s test/package/test_fresh_clone.py -k "make walk or colcon"` prints minutes and megabytes.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -74,12 +76,15 @@ def test_a_command_works_in_a_fresh_clone(command: str, tmp_path: Path) -> None:
     ).stdout.strip()
     kept = {name: value for name, value in os.environ.items() if name.startswith("PIP_") or name in ("HOME", "LANG")}
     environment = kept | {"PATH": os.defpath, "PIP_CACHE_DIR": cache, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    began = time.monotonic()
     done = subprocess.run(
         ["bash", "-c", shell(command)],
         cwd=clone, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         text=True, check=False,
     )  # fmt: skip
     print(done.stdout)
+    size = sum(path.lstat().st_size for path in tmp_path.rglob("*") if path.is_file())
+    print(f"{command}: {(time.monotonic() - began) / 60:.1f} minutes, {size / 1e6:.0f} MB with .venv and cache")
     assert done.returncode == 0
     assert "which has no rosdep key" not in done.stdout  # the reason of a skipped test (declared.py)
     shutil.rmtree(clone)  # half a gigabyte
