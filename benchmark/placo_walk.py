@@ -2,8 +2,9 @@
 
 placo plans the whole walk before it starts: its preview of the CoM, its swing feet, and one solution of its inverse
 kinematics per control period. Its joint angles are commanded one after the other, together with the torques against
-gravity that placo computes for the sole that stands, or for both soles in proportion to the planned ZMP. Of
-the durations in `TIMINGS` placo has those with which it arrives for the most seeds; these seeds are not in the table.
+gravity that placo computes for the sole that stands, or for both soles in proportion to the planned ZMP. The servos
+follow their goals, as a walk without feedback needs; with the legs that yield in our walk it falls in its third step.
+Of the durations in `TIMINGS` placo has those with which it arrives for the most seeds; these seeds are not in the table.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.urdf import Urdf
 
 TIMINGS = ((0.33, 0.2), (0.5, 0.08), (0.5, 0.2), (0.7, 0.2))  # single and double support [s]
+WINDOW = 0.5  # from the joint to its goal [rad]
 TUNING = range(100, 106)  # seeds for the choice of placo's durations
 
 
@@ -49,7 +51,7 @@ def pattern(config: Config, model: RobotModel, speed: float, steps: int, single:
     if "trunk" not in urdf.links:
         urdf.add_frame("trunk", model.pelvis, DQ(1.0))
     with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
-        file.write(urdf.text(shapes=False))
+        file.write(urdf.text())
         file.flush()
         robot = placo.HumanoidRobot(file.name)
     q = model.posture(config.standing.posture)
@@ -121,6 +123,7 @@ class Playback:
 def placo_walk(config: Config, speed: float) -> Walker:
     """Return placo's walk at a speed [m/s], with the best of `TIMINGS`."""
     best, most = None, -1
+    config = config.updated({"servo.window": WINDOW})
     for single, double in TIMINGS:
         made = pattern(config, load_model(config.robot), speed, config.gait.steps, single, double)
         name = f"placo, open loop, {single:g} s + {double:g} s"
