@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -19,8 +19,9 @@ from rclpy.node import Node
 from dqwalk_ros.config import OF_RCLPY, Config, Spec, is_foreign, resolved, sections_of
 from dqwalk_ros.plants.table import defaults_of
 from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.errors import ConfigError, shown
 
-__all__ = ["declare"]
+__all__ = ["check_types", "declare"]
 
 
 def declare(node: Node, argv: Sequence[str]) -> Config:
@@ -43,6 +44,7 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
         for name, parameter in node._parameter_overrides.items()  # rclpy has no public access to all of them
         if name.split(".")[0] not in OF_RCLPY
     }
+    check_types(given, argv, (node.get_name(), node.get_fully_qualified_name()))
     files = [pathlib.Path(value) for key, value in itertools.pairwise(argv) if key == "--params-file"]
     for path in files:
         _check_sections(path, node)
@@ -56,6 +58,52 @@ def declare(node: Node, argv: Sequence[str]) -> Config:
         shown: Any = (list(value) or [""]) if isinstance(value, tuple) else value
         node.declare_parameter(name, shown, _DESCRIPTORS[name], ignore_override=True)
     return config
+
+
+def check_types(given: Mapping[str, Any], argv: Sequence[str], names: Collection[str]) -> None:
+    """Check that no ``-p`` is lost: rcl keeps an earlier value of another type, such as the 3 of a file before 2.5.
+
+    Parameters
+    ----------
+    given : mapping of str to any
+        The values that rcl found.
+    argv : sequence of str
+        The command line, with parameter files and ``-p NAME:=VALUE``.
+    names : collection of str
+        Of the node.
+
+    Raises
+    ------
+    ConfigError
+        If a value is lost; the message names the parameter and both values.
+    """
+    values: dict[tuple[str, str], list[Any]] = {}  # of one section and name, in their order
+    for key, text in itertools.pairwise(argv):
+        if key == "--params-file":
+            for section in sections_of(strict_yaml.read_text(pathlib.Path(text)), source=text):
+                for name, value in section.values.items():
+                    values.setdefault((section.name, name), []).append(value)
+        elif key in ("-p", "--param"):
+            rule, _, value = text.partition(":=")
+            node, _, name = rule.rpartition(":")
+            values.setdefault((node or "/**", name), []).append(strict_yaml.read(value))
+    for (where, name), (*_, last) in values.items():
+        kept = given.get(name, last)
+        plain = all(isinstance(one, int | float | str) and not isinstance(one, bool) for one in (kept, last))
+        lost = plain and str(last) != str(kept) and _number(last) != _number(kept) and type(last) is not type(kept)
+        if lost and kept in values[where, name] and where in ("/**", *names):
+            raise ConfigError(
+                f"'{name}' is {shown(str(kept))} and later {shown(str(last))}, which is of another type and would be "
+                "ignored by ROS: write numbers alike, such as 3.0 and 2.5"
+            )
+
+
+def _number(value: object) -> float:
+    """Return a number or the text of one as a number, else nan."""
+    try:
+        return float(str(value))
+    except ValueError:
+        return math.nan
 
 
 def _check_sections(path: pathlib.Path, node: Node) -> None:

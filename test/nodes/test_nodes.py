@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from inside import state
 from live import SHORT, Live
 from rclpy.parameter import Parameter
@@ -327,6 +328,30 @@ def test_an_interrupt_during_the_start_is_not_lost(monkeypatch: pytest.MonkeyPat
     finally:
         signal.signal(signal.SIGINT, before)
     assert handlers == [signal.SIG_DFL]
+
+
+def test_a_later_value_of_another_type_is_not_ignored(tmp_path: Path) -> None:
+    """Which rcl does: of a whole number in a file and a fraction in the command line it keeps the first."""
+    from dqwalk_ros.nodes.parameters import check_types
+
+    first = tmp_path / "first.yaml"
+    first.write_text("/**: {ros__parameters: {robot: {mass: 3}, dt: 0.005, gait: {walk: '1'}}}")
+    files, names = ["--params-file", str(first), "-p", "robot.mass:=2.5"], ("controller", "/controller")
+    kept = {"robot.mass": 3, "dt": 0.005, "gait.walk": "1"}
+    context = rclpy.Context()
+    rclpy.init(context=context, args=["", "--ros-args", *files])
+    node = rclpy.create_node("controller", context=context, enable_rosout=False)
+    assert {name: node._parameter_overrides[name].value for name in kept} == kept
+    node.destroy_node()
+    context.shutdown()
+    with pytest.raises(
+        ConfigError, match=r"'robot.mass' is 3 and later 2.5, .* would be ignored by ROS: write numbers"
+    ):
+        check_types(kept, files, names)
+    with pytest.raises(ConfigError, match="later abc"):
+        check_types(kept, ["--params-file", str(first), "-p", "dt:=abc"], names)
+    check_types(kept, ["-p", "robot.mass:=2.5", "--params-file", str(first), "-p", "drive:dt:=abc"], names)
+    check_types({"dt": 0.01, "gait.step_length": 1e30}, ["-p", "dt:=0.01", "-p", "gait.step_length:=1e30"], names)
 
 
 def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path) -> None:
