@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import click
 
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, ModelError, how_to_install, printable
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, ModelError, not_imported, printable
 from dqwalk_ros.support.interrupts import is_interrupt
 
 __all__ = ["FAILED", "OK", "USAGE", "dqwalk", "main"]
@@ -104,11 +104,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, USAGE)
     except DqwalkError as error:
         return _fail(error, FAILED)
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] == "dqwalk_ros":
-            raise
-        how = how_to_install(error.name or "")
-        return _fail(f"the Python module '{error.name}' is not installed{how and f': {how}'}", FAILED)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interrupt(error):
             raise
@@ -121,6 +116,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:  # a full disk, a folder that cannot be written, ...
         where = repr(error.filename) if error.filename else _lost_folder()
         return _fail(f"{error.strerror or error}{where and f': {where}'}", FAILED)
+    except Exception as error:
+        if why := not_imported(error):
+            return _fail(why, FAILED)
+        raise
 
 
 def _lost_folder() -> str:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from dqwalk_ros.config import Config, Spec
 from dqwalk_ros.plants.table import defaults_of
-from dqwalk_ros.support.errors import ConfigError, how_to_install
+from dqwalk_ros.support.errors import ConfigError, not_imported
 from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
@@ -129,12 +129,11 @@ def main(name: str, argv: Sequence[str]) -> int:
     except ConfigError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] == "dqwalk_ros":
-            raise
-        how = how_to_install(error.name or "")
-        print(f"{name}: the Python module {error.name!r} is not installed{how and f': {how}'}", file=sys.stderr)
-        return 2
+    except Exception as error:
+        if why := not_imported(error):
+            print(f"{name}: {why}", file=sys.stderr)
+            return 2
+        raise
     code: int = base.main(made, options)
     return code
 

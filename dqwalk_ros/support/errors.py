@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import traceback
 from collections.abc import Collection, Mapping, Sequence
 
 __all__ = [
@@ -18,6 +20,7 @@ __all__ = [
     "ViewerError",
     "how_to_install",
     "listed",
+    "not_imported",
     "printable",
     "shown",
 ]
@@ -62,6 +65,25 @@ def how_to_install(module: str) -> str:
     if package.endswith(_OF_ROS):
         return "source the setup file of a ROS 2 Jazzy, or pip install -e '.[ros]' in the folder of dqwalk_ros"
     return f"pip install {_ON_PYPI[package]}" if package in _ON_PYPI else ""
+
+
+def not_imported(error: Exception) -> str:
+    """Return why another package's module was not imported; empty for any other error.
+
+    It is missing, or it failed as it was imported, as numba does where NUMBA_NUM_THREADS=0.
+    """
+    if isinstance(error, ModuleNotFoundError):
+        if (error.name or "").partition(".")[0] == "dqwalk_ros":
+            return ""
+        how = how_to_install(error.name or "")
+        return f"the Python module '{error.name}' is not installed{how and f': {how}'}"
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__) if frame.f_code.co_name == "<module>"]
+    package = str(frames[-1].f_globals.get("__name__")).partition(".")[0] if frames else "dqwalk_ros"
+    if package in ("dqwalk_ros", "__main__"):
+        return ""
+    names = [name for name in os.environ if name.startswith(f"{package.upper()}_")]
+    doubt = f"; is {listed(names)} in the environment right?" if names else ""
+    return f"{package} cannot be imported: {printable(str(error))}{doubt}"
 
 
 class DqwalkError(Exception):

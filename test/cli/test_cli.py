@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import json
 import logging
@@ -499,6 +500,19 @@ def test_a_missing_python_module_is_named_with_its_package(monkeypatch, capsys, 
     monkeypatch.setattr("dqwalk_ros.cli.runner.run_walk", run_walk)
     assert cli.main(["walk", "--out", str(tmp_path)]) == 1
     assert capsys.readouterr().err.endswith(named)
+
+
+def test_a_package_that_refuses_its_environment_is_named_and_other_errors_are_not_hidden(monkeypatch, capsys, tmp_path):
+    (tmp_path / "grumpy.py").write_text("raise ValueError('threads must be > 0')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("GRUMPY_THREADS", "0")
+    monkeypatch.setattr("dqwalk_ros.cli.runner.run_walk", lambda *_, **__: importlib.import_module("grumpy"))
+    assert cli.main(["walk", "--out", str(tmp_path / "out")]) == 1
+    said = "grumpy cannot be imported: threads must be > 0; is GRUMPY_THREADS in the environment right?\n"
+    assert capsys.readouterr().err.endswith(said)
+    monkeypatch.setattr("dqwalk_ros.cli.runner.run_walk", lambda *_, **__: int("abc"))
+    with pytest.raises(ValueError, match="abc"):
+        cli.main(["walk", "--out", str(tmp_path / "out")])
 
 
 # ---------------------------------------------------------------------- progress
