@@ -75,7 +75,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Whether each push is on a random link, in a random direction and moment (`Push.anywhere`), one for each seed.
     """
 
-    name: str
+    name: Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f-\x9f]+$")]
     config: str
     plant: Literal["physics", "poppy_as_built"] = "physics"
     params: list[str] = []
@@ -86,7 +86,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     first: Annotated[int, msgspec.Meta(ge=0, le=10**6)] = 1
     hands: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
     course: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 0.0
-    push: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    push: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] = 0.0
     anywhere: bool = False
 
     @property
@@ -168,6 +168,8 @@ def read(path: str) -> dict[str, Row]:
     for row in read.rows:
         if unknown := set(row.use) - set(read.sets):
             raise ConfigError(f"{file}: '{row.name}' uses {listed(unknown)}; the sets are {listed(read.sets)}")
+        if row.name in rows:
+            raise ConfigError(f"{file}: two rows have the name '{row.name}'")
         given = {key: value for name in row.use for key, value in read.sets[name].items()}
         rows[row.name] = msgspec.structs.replace(row, set=given | row.set)
         rows[row.name].made()

@@ -103,6 +103,15 @@ def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: py
     file.write_text("rows: [{name: a, config: poppy, cmd_vel: ['0.01,0,0,5'], set: {gait.steps: 4}}]\n")
     with pytest.raises(ConfigError, match="a: cmd_vel and course steer a standing or dynamic walk"):
         read(str(file))
+    for rows, message in (
+        ("{name: a, config: poppy}, {name: a, config: paper}", "two rows have the name 'a'"),
+        ('{name: "a\\e[2J", config: poppy}', "name"),
+        ("{name: '', config: poppy}", "name"),
+        ("{name: a, config: poppy, push: .inf}", "push"),
+    ):
+        file.write_text(f"rows: [{rows}]\n")
+        with pytest.raises(ConfigError, match=message):
+            read(str(file))
     assert cli.main(["evidence", str(tmp_path / "none.yaml")]) == 2
     assert "none.yaml" in capsys.readouterr().err
 
