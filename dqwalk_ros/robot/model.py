@@ -23,7 +23,6 @@ import numpy as np
 from dqwalk_ros.config import RobotConfig, find_share
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
 from dqwalk_ros.robot.urdf_file import LARGEST
 from dqwalk_ros.support.arrays import Array
@@ -32,6 +31,8 @@ from dqwalk_ros.support.errors import ConfigError, ModelError
 
 if TYPE_CHECKING:
     from yourdfpy import Joint, Link
+
+    from dqwalk_ros.paper.geometry import ConvexPolygon
 
 __all__ = ["Body", "Frame", "RobotModel", "Sole", "find_urdf", "load_model", "parse_model"]
 
@@ -79,6 +80,8 @@ class Sole:
     @functools.cached_property
     def outline(self) -> ConvexPolygon:
         """The rectangle on the ground."""
+        from dqwalk_ros.paper.geometry import ConvexPolygon  # with the compiler, which a node without a walk needs not
+
         return ConvexPolygon.hull(self.corners)
 
 
