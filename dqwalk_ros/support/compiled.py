@@ -113,15 +113,27 @@ if len(inspect.signature(getattr(arrayobj, "raise_with_shape_context", print)).p
     arrayobj.raise_with_shape_context = _wrong_shape  # else this numba does it in another way
 
 
+def _saving(save: Callable[..., None]) -> Callable[..., None]:
+    """Return what saves machine code where that is possible: on a full disk it is compiled again the next time."""
+
+    def saves(*code: Any) -> None:
+        with contextlib.suppress(OSError):
+            save(*code)
+
+    return saves
+
+
 def jit(function: Callable[..., Any]) -> Any:
     """Return `function` compiled on its first call; floating-point operations are not reordered (no fast-math)."""
-    compiled = numba.njit(fastmath=False, error_model="numpy")(function)
+    compiled: Any = numba.njit(fastmath=False, error_model="numpy")(function)
     if not _no_cache and not _CONFIG.DISABLE_JIT:
         others = _CONFIG.CACHE_DIR
         if _folder is not None:
             _CONFIG.CACHE_DIR = str(_folder / digest(function.__module__))
         with contextlib.suppress(RuntimeError):  # a function of no file, such as one typed at a prompt
             compiled.enable_caching()
+            cache = compiled._cache
+            cache.save_overload = _saving(cache.save_overload)
         _CONFIG.CACHE_DIR = others
     return compiled
 

@@ -101,3 +101,20 @@ def test_compilation_is_announced_and_repeated_when_only_a_called_function_chang
     changed = python(CODE, tmp_path, **here)
     assert ANNOUNCED in changed.stderr
     assert changed.stdout != first.stdout
+
+
+def test_a_full_disk_keeps_no_compiled_function_from_running(monkeypatch):
+    from numba.core.caching import FunctionCache
+
+    from dqwalk_ros.support.compiled import jit
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(FunctionCache, "save_overload", full)
+
+    @jit
+    def twice(x):
+        return 2.0 * x
+
+    assert twice(3.0) == 6.0
