@@ -149,6 +149,8 @@ class RobotModel:
         URDF of the reduced robot: repaired, without dropped links, with locked joints as fixed joints.
     repairs : tuple of str
         Each invalid value of the file, and the value that replaces it.
+    locked : mapping of str to float
+        Joints that are fixed instead of moving, and their angles [rad].
     """
 
     name: str
@@ -165,6 +167,7 @@ class RobotModel:
     imu_link: str
     urdf: str = field(repr=False)
     repairs: tuple[str, ...] = ()
+    locked: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     @property
     def n(self) -> int:
@@ -332,7 +335,7 @@ def parse_model(text: str, config: RobotConfig) -> RobotModel:
 def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     """Return the model of a description, reduced as `config` says; see `parse_model` for `published`."""
     urdf.cut(urdf.matching(config.drop, "robot.drop", strict=not published))
-    urdf.weld(_locked(urdf, config, published))
+    locked = urdf.weld(_locked(urdf, config, published))
     if not sum(link.inertial.mass for link in urdf.links.values()) > 0.0:
         raise ModelError(f"{urdf.source}: the robot has no mass, so it has no centre of mass")
     loads = _payload(config, urdf)
@@ -369,6 +372,7 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
         imu_link=imu,
         urdf=urdf.text(),
         repairs=tuple(urdf.repairs),
+        locked=locked,
     )
 
 

@@ -207,8 +207,9 @@ class Urdf:
                 del self.links[joint.child]
                 waiting += self.child_joints(joint.child)
 
-    def weld(self, angles: Mapping[str, float]) -> None:
-        """Make joints fixed at the given positions [rad or m], clipped to their limits."""
+    def weld(self, angles: Mapping[str, float]) -> dict[str, float]:
+        """Make joints fixed at positions [rad or m]; return those of the joints that moved, clipped to their limits."""
+        fixed = {}
         for name, wanted in angles.items():
             joint = self.joints[name]
             if moves(joint):
@@ -216,6 +217,8 @@ class Urdf:
                 if angle != wanted:
                     self.repairs.append(f"joint '{name}' is locked at {angle:g}: {wanted:g} is beyond its limits")
                 _fix(joint, angle)
+                fixed[name] = angle
+        return fixed
 
     def add_frame(self, name: str, parent: str, pose: DQ) -> None:
         """Add a massless link `name` that is fixed to the link `parent` at a pose."""

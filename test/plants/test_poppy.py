@@ -353,6 +353,16 @@ def test_a_joint_whose_limits_exclude_zero_has_its_first_pose_at_the_nearest_lim
     assert rig.plant.remaining < 0.01
 
 
+def test_a_joint_locked_at_an_angle_is_held_there() -> None:
+    """The controller takes it to be at this angle."""
+    trunk_and_arms = ["abs_*", "bust_*", "head_*", "?_arm_*", "?_elbow_*", "?_shoulder_y", "?_shoulder_x=0.25"]
+    rig = Rig(settings={"robot.drop": [], "robot.lock": trunk_and_arms})
+    rig.settle()
+    rig.run(2.0)
+    held = [rig.plant.measured.q[rig.plant.names.index(name)] for name in ("l_shoulder_x", "r_shoulder_x", "head_z")]
+    assert held == pytest.approx([0.25, 0.25, 0.0], abs=0.01)
+
+
 def test_the_distance_from_the_first_pose_is_that_of_the_farthest_joint() -> None:
     rig = Rig(angles={"l_knee_y": 40.0, "r_elbow_y": -70.0})
     rig.tick()

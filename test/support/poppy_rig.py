@@ -48,7 +48,8 @@ class Rig:
         angles: dict[str, float] | None = None,
         settings: dict[str, object] | None = None,
     ) -> None:
-        self.model, self.config = MODEL, CONFIG.updated(settings or {})
+        self.config = CONFIG.updated(settings or {})
+        self.model = load_model(self.config.robot)
         self.memory = Memory(sync_read=sync_read, **(angles or {}))
         self.plant = self.opened()
 

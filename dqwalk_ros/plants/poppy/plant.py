@@ -178,7 +178,8 @@ class PoppyPlant(Plant):
     model : RobotModel
         Model whose joints are commanded; the other joints move to their first pose and hold it.
     posture : ndarray, shape (n,)
-        First pose of the joints of the model [rad]; zero for the other joints. It is clipped to the limits.
+        First pose of the joints of the model [rad]; that of the others is their angle in ``robot.lock``, or zero. It is
+        clipped to the limits.
     buses : mapping of str to DynamixelBus, optional
         By the name of the bus in the table of motors; `open_buses` by default.
     clock : callable
@@ -230,7 +231,7 @@ class PoppyPlant(Plant):
         self._zero = np.array([zero.get(name, 0.0) for name in self.names])  # [deg]
         low, high = np.radians(np.array([motor.limits for motor in self._table]).T - self._zero)
         low[:n], high[:n] = np.maximum(low[:n], model.q_min), np.minimum(high[:n], model.q_max)
-        self._first = np.clip(np.concatenate([posture, np.zeros(every - n)]), low, high)
+        self._first = np.clip([*posture, *(model.locked.get(name, 0.0) for name in self.names[n:])], low, high)
         self._gain = np.where([kind.p_register for kind in self._types], config.servo.p_gain, -1)
         self._full_error = np.array([1.0 / kind.gain(config.servo.p_gain) for kind in self._types])  # [rad]
         fastest, stall = np.array([(kind.no_load_speed, kind.stall_torque) for kind in self._types]).T
