@@ -250,7 +250,7 @@ def test_a_walk_without_a_first_command_cannot_be_used(capsys):
             "the centre of the left sole is 275 mm beside the shapes",
         ),
         ("poppy_dynamic", "robot.sole_length=0.001", 1, "a sole has a side of 1 mm"),
-        ("poppy_dynamic", 'robot.payload=["l_hand=30"]', 1, "'bust_x' needs about 11.5 N m to stand on one foot"),
+        ("poppy_dynamic", 'robot.payload=["l_hand=30"]', 1, "N m to stand on one foot; its limit is 2.51 N m"),
         ("poppy_dynamic", 'robot.payload=["l_hand=1"]', 1, "to the left of the middle of the soles; a walk stands up"),
     ],
 )

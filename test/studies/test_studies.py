@@ -503,11 +503,11 @@ def test_another_link_is_pushed(tmp_path, monkeypatch, capsys):
         pushes, "pushed", lambda config, push: "fell" if push.impulse > 0.7 or push.link != "chest" else ""
     )
     command = ["pushes", "--jobs", "1", "--moment", "standing", "--directions", "1", "--out", str(tmp_path)]
-    assert cli.main([*command, "--link", "chest"]) == 0
+    assert cli.main([*command, "--link", "chest", "--tolerance", "1e-3"]) == 0
     shown = capsys.readouterr().out
     assert "impulse of a push of 0.1 s on chest" in shown
     assert ">= " not in shown
-    assert "0.7" in shown
+    assert "0.699" in shown
     assert cli.main([*command, "--link", "wing"]) == 2
     assert "--link wing: the links of poppy_humanoid are" in capsys.readouterr().err
     assert cli.main([*command, "--link", "chest", "--bottle", "3"]) == 2
