@@ -17,7 +17,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.state import Command, State
-from dqwalk_ros.plants.base import Inertial, Plant, Truth, orientation_of
+from dqwalk_ros.plants.base import Inertial, Plant, Truth, center_of_pressure, orientation_of
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.arrays import Array
@@ -156,12 +156,12 @@ class PhysicsRecord:
     @classmethod
     def of(cls, samples: list[tuple[Truth, Inertial]]) -> PhysicsRecord:
         """Return the record of one sample per state."""
-        no_contact = np.full(3, math.nan)
-        centers = [truth.cop for truth, _ in samples]
+        soles = {foot: np.array([truth.soles[foot] for truth, _ in samples]) for foot in Foot}
+        wrenches = {foot: np.array([truth.wrenches[foot] for truth, _ in samples]) for foot in Foot}
         return cls(
             pelvis=np.array([truth.pelvis for truth, _ in samples]),
-            wrenches={foot: np.array([truth.wrenches[foot] for truth, _ in samples]) for foot in Foot},
-            cop=np.array([no_contact if center is None else center for center in centers]),
+            wrenches=wrenches,
+            cop=center_of_pressure(soles, wrenches),
             orientation=np.array([sensor.orientation for _, sensor in samples]),
             gyro=np.array([sensor.gyro for _, sensor in samples]),
             acceleration=np.array([sensor.acceleration for _, sensor in samples]),

@@ -67,14 +67,12 @@ class DriveWatch:
         The model with the delay that was learned.
     delay : float
         Difference of the true from the assumed delay [s]; nan before the first estimate.
-    stiffness : float
-        Ratio of the true to the assumed stiffness; nan before the first estimate.
     """
 
     def __init__(self, assumed: Drive) -> None:
         self.drive = self._assumed = assumed
         self._period, n = 0.0, assumed.stiffness.size
-        self.delay = self.stiffness = self._reference = math.nan
+        self.delay = self._reference = math.nan
         self._T = assumed.delay  # of the differences q - S
         self._time = self._since = math.nan
         self._commands: deque[tuple[float, Array]] = deque()  # S and e (2, n), over the delay
@@ -118,7 +116,7 @@ class DriveWatch:
         self._count = kept * self._count + 1.0
         if time - self._solved > _SOLVE - 1e-9:
             self._solved = time
-            self._solve(time)
+            self._solve()
 
     def interrupt(self) -> None:
         """Compare the states that follow with no earlier one, because commands or angles were interrupted."""
@@ -126,30 +124,34 @@ class DriveWatch:
         self._samples.clear()
         self._time = math.nan
 
+    @property
+    def stiffness(self) -> float:
+        """Ratio of the true to the assumed stiffness; nan before the first estimate."""
+        if not self._solved - self._since > _FORGET:
+            return math.nan
+        K = self._assumed.stiffness
+        (_, _, softer), (_, _, known) = _fitted(self._products, self._count)
+        weights = known / np.maximum(K, 1e-3) ** 2
+        return 1.0 / max(1.0 - float(weights @ (K * softer) / weights.sum()), 0.05)
+
     def warnings(self) -> list[str]:
         """Return a message for each quantity that exceeds its limit, with its value."""
         out = []
         if self.delay > DELAYED:
             more = f"add {1e3 * self.delay:.0f} ms to servo.assumed_latency"
             out.append(f"the drive is {1e3 * self.delay:.0f} ms later than servo.assumed_* say; {more}")
-        if self.stiffness < SAGGED * self._reference:
-            out.append(
-                f"the servos have {100.0 * self.stiffness / self._reference:.0f} % of the stiffness of the beginning"
-            )
+        if (ratio := self.stiffness / self._reference) < SAGGED:
+            out.append(f"the servos have {100.0 * ratio:.0f} % of the stiffness of the beginning")
         return out
 
-    def _solve(self, time: float) -> None:
-        """Set `drive`, and after some time of walking `delay` and `stiffness`."""
+    def _solve(self) -> None:
+        """Set `drive`, and after some time of walking `delay` and the reference of the stiffness."""
         (later, _), (known, _) = _fitted(self._products[:, :3, :3], self._count)
-        true = self._T - _median(later, known) + _HELD * self._period
-        K = self._assumed.stiffness
-        if time - self._since > _FORGET:
-            (_, _, softer), (_, _, sure) = _fitted(self._products, self._count)
-            weights = sure / np.maximum(K, 1e-3) ** 2
+        true, walked = self._T - _median(later, known) + _HELD * self._period, self._solved - self._since
+        if walked > _FORGET:
             self.delay = true - self._assumed.delay
-            self.stiffness = 1.0 / max(1.0 - float(weights @ (K * softer) / weights.sum()), 0.05)
-            if math.isnan(self._reference) and time - self._since > _LEARNED:
-                self._reference = self.stiffness
+        if walked > _LEARNED and math.isnan(self._reference):
+            self._reference = self.stiffness
         self._learn(true, float(known.sum()))
 
     def _learn(self, true: float, known: float) -> None:

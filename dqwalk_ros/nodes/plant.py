@@ -297,7 +297,7 @@ class Physics(SimulatedPlant):
             for foot in Foot:
                 wrench = ros.wrench(stamp, self.model.soles[foot].frame, truth.wrenches[foot])
                 streams[f"{foot.value}_foot_wrench"].publish(wrench)
-            if (cop := truth.cop) is not None:
+            if np.isfinite(cop := truth.cop).all():
                 streams["center_of_pressure"].publish(ros.point(stamp, WORLD, cop))
         if not self.lockstep:
             self.commands.forbid(self.plant.fault)

@@ -340,7 +340,7 @@ class PointsOverPlane(Affine, Constraint):
     @cached_property
     def A(self) -> Array:
         """The normal of the plane, in one row per point, shape (k, 3 k)."""
-        return np.asarray(np.kron(np.eye(len(self.points)), self.plane.n), dtype=np.float64)
+        return (np.eye(len(self.points))[:, :, None] * self.plane.n).reshape(len(self.points), -1)
 
     @property
     def b(self) -> float:

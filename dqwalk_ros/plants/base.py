@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -18,7 +19,18 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = ["Inertial", "Plant", "Truth", "are_finite", "checked", "orientation_of", "pushed_periods", "tilt", "upward"]
+__all__ = [
+    "Inertial",
+    "Plant",
+    "Truth",
+    "are_finite",
+    "center_of_pressure",
+    "checked",
+    "orientation_of",
+    "pushed_periods",
+    "tilt",
+    "upward",
+]
 
 
 class Plant(ABC):
@@ -133,20 +145,33 @@ class Truth:
     effort: Array
 
     @property
-    def cop(self) -> Array | None:
-        """Centre of pressure of both feet in the world, shape (3,) [m]; None without ground contact."""
-        total, moment = 0.0, np.zeros(3)
-        for foot, w in self.wrenches.items():
-            if w[2] > 1e-3:
-                total += w[2]
-                moment += w[2] * DQ(self.soles[foot]).transform_point([-w[4] / w[2], w[3] / w[2], 0.0])
-        return moment / total if total > 1e-2 else None
+    def cop(self) -> Array:
+        """Centre of pressure of both feet in the world, shape (3,) [m]; nan without ground contact."""
+        return center_of_pressure(self.soles, self.wrenches)
 
     @property
     def tilt(self) -> float:
         """Inclination against the floor of the sole with the larger load [rad]."""
         support = max(self.wrenches, key=lambda foot: float(self.wrenches[foot][2]))
         return float(tilt(self.soles[support]))
+
+
+def center_of_pressure(soles: Mapping[Foot, Array], wrenches: Mapping[Foot, Array]) -> Array:
+    """Return the centre of pressure of both feet in the world, shape (..., 3) [m]; nan without ground contact.
+
+    Parameters
+    ----------
+    soles : mapping of Foot to ndarray, shape (..., 8)
+        Poses of the soles in the world.
+    wrenches : mapping of Foot to ndarray, shape (..., 6)
+        Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
+    """
+    total, moment = np.zeros(1), np.zeros(3)
+    for foot, wrench in wrenches.items():
+        force = np.where(wrench[..., 2:3] > 1e-3, wrench[..., 2:3], 0.0)
+        pressed = wrench[..., [4, 3, 5]] * [-1.0, 1.0, 0.0] / np.maximum(force, 1e-3)  # point of the sole
+        total, moment = total + force, moment + force * DQ(soles[foot]).transform_point(pressed)
+    return np.where(total > 1e-2, moment / np.maximum(total, 1e-2), np.nan)
 
 
 def checked(values: ArrayLike, n: int, what: str) -> Array:

@@ -142,7 +142,7 @@ def test_reading_the_true_state_does_not_change_the_simulation() -> None:
         for _ in range(40):
             plant.step(controller.step(plant.state, config.dt), config.dt)
             if look:
-                assert plant.truth.cop is not None
+                assert np.isfinite(plant.truth.cop).all()
                 assert np.linalg.norm(plant.inertial.acceleration) == pytest.approx(9.81, abs=1.5)
         ends.append(plant.state.q)
     assert (ends[0] == ends[1]).all()
