@@ -56,8 +56,9 @@ class Assessment:
     Attributes
     ----------
     level : str
-        ``"OK"``, ``"WARN"`` if a distance is closer to its bound than ``monitor.warn_margin``, ``"ERROR"`` if one
-        violates its guaranteed bound by more than ``monitor.tolerance``.
+        ``"OK"``, ``"WARN"`` if a distance is closer to its bound than ``monitor.warn_margin``, ``"ERROR"`` if one is
+        beyond its bound, or the residual of an equality larger than at the start of its phase, by more than
+        ``monitor.tolerance``.
     message : str
         The phase, and the reason for the level.
     values : mapping of str to float
@@ -71,12 +72,15 @@ class Assessment:
 
 
 class Assessor:
-    """Assesses the states of one phase."""
+    """Assesses single states of one phase, in any order.
+
+    How fast a distance approaches its bound is judged by `violations`, which has all states.
+    """
 
     def __init__(self, config: Config, model: RobotModel, phase: Phase) -> None:
         self.config, self.model, self.phase = config, model, phase
-        self._start = phase.distances(phase.q_start)
-        self._held = [(row.name, abs(self._start[row.name]), _decay(row.eta, config.dt)) for row in phase.equalities]
+        start = phase.distances(phase.q_start)
+        self._most = {row.name: abs(start[row.name]) for row in phase.equalities if _has_bound(row)}
 
     def __call__(self, kin: Kinematics, elapsed: float, monitor: MonitorConfig | None = None) -> Assessment:
         """Return the assessment of one state, `elapsed` seconds after the phase began.
@@ -84,19 +88,18 @@ class Assessor:
         `kin` is relative to the base sole of the phase; `monitor` replaces that of the configuration.
         """
         monitor = monitor or self.config.monitor
-        ticks = max(elapsed, 0.0) / self.config.dt
         distances = self.phase.evaluate(kin.q, kin.up, elapsed).distances()
         error = self.phase.assembly.error(kin, math.inf)  # from the end of a path
         values: dict[str, float] = {"error": error, "time in phase": elapsed}
         broken: list[str] = []
         close: list[str] = []
-        for name, start, decay in self._held:
-            d = values[f"residual/{name}"] = float(distances[name])
-            if abs(d) > start * decay**ticks + monitor.tolerance:
-                broken.append(f"{name} has a residual of {d:.3g}")
+        for row in self.phase.equalities:
+            d = values[f"residual/{row.name}"] = float(distances[row.name])
+            if abs(d) > self._most.get(row.name, math.inf) + monitor.tolerance:
+                broken.append(f"{row.name} has a residual of {d:.3g}")
         for row in self.phase.constraints:
             d = values[f"distance/{row.name}"] = float(distances[row.name])
-            if d < min(0.0, _returned(row, self._start[row.name], ticks, self.config.dt)) - monitor.tolerance:
+            if d < -monitor.tolerance:
                 broken.append(f"{row.name} is {-d:.3g} beyond its bound")
             elif (margin := row.margin(d)) < monitor.warn_margin:
                 close.append(f"{row.name} within {margin:.2g}")
@@ -113,19 +116,12 @@ class Assessor:
         }
 
 
-def _decay(eta: float, dt: float) -> float:
-    return 1.0 - min(1.0, eta * dt)
+def _has_bound(row: Constraint) -> bool:
+    """Return whether each row of an equality has a bound of its own.
 
-
-def _returned(row: Constraint, start: float, ticks: float, dt: float) -> float:
-    """Return the least distance to the bound after a number of control periods, from that at the start of the phase.
-
-    A distance far below its bound returns at `row.return_speed`, a near one at the rate `row.eta` (`constraints.vfi`).
+    Those of a held sole, which return at a limited speed, depend on each other.
     """
-    step, near = row.return_speed * dt, -row.return_speed / min(row.eta, 1.0 / dt)
-    far = min((near - start) / step, ticks) if start < near else 0.0
-    begun = start + far * step if far else start
-    return begun * float(_decay(row.eta, dt) ** (ticks - far))
+    return math.isinf(row.return_speed)
 
 
 # ---------------------------------------------------------------------- violations of a whole walk
@@ -176,11 +172,8 @@ def _landing(span: Span, ending: Ending) -> dict[str, float]:
 
 
 def _held(series: Series, span: Span) -> Iterator[tuple[str, float, int]]:
-    """Yield name, smallest value of `Series.held` and its tick for each constraint of a phase.
-
-    The rows of a held sole, which return at a limited speed, depend on each other; none has a bound of its own.
-    """
-    for row in (*span.phase.constraints, *(one for one in span.phase.equalities if math.isinf(one.return_speed))):
+    """Yield name, smallest value of `Series.held` and its tick for each constraint of a phase that has a bound."""
+    for row in (*span.phase.constraints, *filter(_has_bound, span.phase.equalities)):
         held = series.held[row.name][span.ticks]
         at = int(np.nanargmin(held))
         yield row.name, float(held[at]), span.start + at
@@ -203,7 +196,7 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
         d = series.distances[row.name][span.ticks]
         at = int(np.nanargmin(d))
         if d[at] < -tolerance:
-            text = f"{row.name} is {d[at]:.3g} beyond its bound"
+            text = f"{row.name} is {-d[at]:.3g} beyond its bound"
             yield _broken(series, row.name, span.start + at, float(d[at]), -tolerance, text, name)
     for what, held, tick in _held(series, span):
         if held < -tolerance:

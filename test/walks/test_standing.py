@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -13,7 +15,6 @@ import dqwalk_ros as dq
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.footsteps import reached
 from dqwalk_ros.config import overlaid
-from dqwalk_ros.paper.constraints import vfi
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMassOnGround, Point
 from dqwalk_ros.paper.foot import Foot
@@ -25,7 +26,6 @@ from dqwalk_ros.paper.statics import Soles, gravity_torques, ground_torques
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.scene import Moments, Scene
-from dqwalk_ros.report.verdict import _returned
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError, PhaseError, PlantError
 from dqwalk_ros.walks.com import com_velocity
@@ -354,16 +354,18 @@ def test_on_a_slope_distances_are_along_the_measured_vertical(tmp_path) -> None:
     assert max(levels) < 2  # no ERROR
 
 
-def test_a_distance_that_returns_at_a_fixed_speed_is_no_violation() -> None:
-    """The bound of a disturbed distance is the motion that the quadratic program requires of it, tick by tick."""
-    q = somewhere(1)
-    phase = make_walk(CONFIG, MODEL).phase(PhaseKind.STANCE, Foot.LEFT, q)
-    row = next(row for row in phase.constraints if row.name == "edges")
-    d, start = -0.05, -0.05
-    for tick in range(800):
-        assert _returned(row, start, tick, CONFIG.dt) == pytest.approx(d, abs=2e-5)
-        d += CONFIG.dt * float(vfi(np.array([d]), 0.0, np.array([row.eta]), row.return_speed, CONFIG.dt)[0])
-    assert d > -1e-3
+def test_what_is_a_violation_is_an_error_of_its_state_and_nothing_else() -> None:
+    """Report and monitor have one law; a held sole, whose rows depend on each other, has no bound of its own."""
+    trace, _ = walked("integrator", gait__steps=1)
+    spoilt, tick, joint = trace.q.copy(), 100, MODEL.joint_names.index("bust_x")
+    spoilt[tick, joint] = MODEL.q_max[joint] + 3.0 * CONFIG.monitor.tolerance
+    for q, wrong in ((trace.q, []), (spoilt, [tick])):
+        given = dataclasses.replace(trace, q=q)
+        scene, moments = Scene(trace.config, MODEL), Moments(given)
+        found = [scene.assess(moments.at(k))[1] for k in range(0, len(trace), 10)]
+        assert [10 * k for k, one in enumerate(found) if one.level == "ERROR"] == wrong, found[tick // 10].message
+        told = {one["what"] for one in reporting.report(reporting.analyse(given))["violations"]}
+        assert ("joint_max" in told) is bool(wrong)
 
 
 def test_the_physics_model_has_the_mass_of_the_robot() -> None:
