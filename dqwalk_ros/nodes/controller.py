@@ -206,7 +206,7 @@ class Controller(AnsweringNode):
         kin, loads = controller.kin, controller.loads
         if self._has_begun:
             phase = controller.phase
-            base, both, x_base = phase.base, phase.kind is not PhaseKind.SINGLE_SUPPORT, DQ(controller.x_odom_base)
+            base, both, x_base = phase.base, phase.double, DQ(controller.x_odom_base)
         else:
             base = self._first_base = self._first_base or controller.first_base(state)
         if kin is None or kin.base is not base or not np.array_equal(kin.q, state.q):  # the walk has not answered it

@@ -11,7 +11,8 @@ from dqwalk_ros.nodes.messages import header, pose_fields, xyz
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase
-from dqwalk_ros.report.scene import COM, FOOT, Moment, NamedRegion, Rgb, Scene
+from dqwalk_ros.report.colors import COM, FOOT, Rgb
+from dqwalk_ros.report.scene import Moment, NamedRegion, Scene
 from dqwalk_ros.robot.model import RobotModel, Sole
 from dqwalk_ros.support.arrays import Array
 

@@ -165,7 +165,7 @@ class PhaseMonitor(WalkNode):
             self._pub["com"].publish(ros.point(stamp, frame, kin.com))
         if self._pub["support_polygon"].get_subscription_count():
             msg = PolygonStamped(header=ros.header(stamp, frame))
-            vertices = support_polygon(model, phase, kin).vertices
+            vertices = support_polygon(model, phase.base, kin, double=phase.double).vertices
             msg.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in vertices]
             self._pub["support_polygon"].publish(msg)
         if self._pub["walk_markers"].get_subscription_count():

@@ -142,6 +142,11 @@ class Phase:
     decision: str = ""
 
     @property
+    def double(self) -> bool:
+        """Whether both soles stand."""
+        return self.kind is not PhaseKind.SINGLE_SUPPORT
+
+    @property
     def name(self) -> str:
         """Kind and support foot, such as ``double_support/left``."""
         return f"{self.kind.value}/{self.support.value}"

@@ -204,7 +204,7 @@ class Walk(ABC):
 
     def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
         """Return feedforward torques for the command `u` (n,), shape (n,) [N m]: by default they compensate gravity."""
-        return gravity_torques(kin, both=phase.kind is not PhaseKind.SINGLE_SUPPORT)
+        return gravity_torques(kin, both=phase.double)
 
     # ------------------------------------------------------------------ requests from outside
 

@@ -158,7 +158,7 @@ def _planned_margin(series: Series) -> Array:
         elapsed = series.time[span.ticks] - span.record.time
         way = [com_path(goals, path.start, float(t), path.duration) for t in elapsed]
         pressure = np.array([c - float(kin.com[2]) / GRAVITY * a for c, _, a in way])
-        corners = np.array(support_polygon(model, span.phase, kin).vertices)[:, :2]
+        corners = np.array(support_polygon(model, span.phase.base, kin, double=span.double).vertices)
         out[span.ticks] = hull_margin(np.broadcast_to(corners, (len(way), *corners.shape)), pressure)
     return out
 

@@ -51,11 +51,11 @@ def paper_margin(phase: Phase, distances: Mapping[str, float | Array]) -> Array 
     return np.min(margins, axis=0) if margins else None
 
 
-def support_polygon(model: RobotModel, phase: Phase, kin: Kinematics) -> ConvexPolygon:
-    """Return the convex hull of the soles on the ground, in the base sole's frame [m]."""
-    corners = model.soles[phase.base].corners
-    if phase.kind is not PhaseKind.SINGLE_SUPPORT:
-        end = model.soles[phase.base.other]
+def support_polygon(model: RobotModel, base: Foot, kin: Kinematics, *, double: bool) -> ConvexPolygon:
+    """Return the convex hull of the base sole, or of both soles, in the base sole's frame [m]."""
+    corners = model.soles[base].corners
+    if double:
+        end = model.soles[base.other]
         corners = np.concatenate([corners, DQ(kin.pose(end.frame)).transform_point(end.corners)])
     return ConvexPolygon.hull(corners)
 
@@ -142,7 +142,7 @@ class Span:
     @property
     def double(self) -> bool:
         """Whether both feet are on the ground."""
-        return self.phase.kind is not PhaseKind.SINGLE_SUPPORT
+        return self.phase.double
 
 
 @dataclass(frozen=True)

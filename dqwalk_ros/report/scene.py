@@ -1,7 +1,7 @@
 """The content of a picture of the walk: bodies, soles, constraints as shapes, and every margin.
 
-Nothing is drawn here. The live page (`dqwalk_ros.report.viewer`), the replay in a report, the movie and the markers for
-RViz draw the same shapes and the same `View`.
+Nothing is drawn here. The live page (`dqwalk_ros.report.viewer`), the replay in a report and the markers for RViz draw
+the same `View`; the movie draws its shapes.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import PLAIN, Constraint, Region
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.paper.kinematics import Kinematics, compose
 from dqwalk_ros.paper.phase import Phase
+from dqwalk_ros.report.colors import Rgb
 from dqwalk_ros.report.metrics import support_polygon
 from dqwalk_ros.report.verdict import Assessment, Assessor
 from dqwalk_ros.robot.model import RobotModel, find_urdf
@@ -43,17 +45,13 @@ __all__ = [
     "View",
     "beginning",
     "bodies_of",
+    "on_ground",
     "shapes_of",
     "tightest",
 ]  # fmt: skip
 
-Rgb = tuple[int, int, int]
 Rgba = tuple[float, float, float, float]
 _GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
-
-COM: Rgb = (209, 36, 47)
-DIVERGENT: Rgb = (230, 130, 0)
-FOOT: dict[Foot, Rgb] = {Foot.LEFT: (31, 95, 180), Foot.RIGHT: (29, 154, 78)}
 
 
 @dataclass(frozen=True)
@@ -117,6 +115,12 @@ def bodies_of(kin: Kinematics, x_base: Array) -> Array:
     return (DQ(x_base) * DQ(np.array([kin.pose(link) for link in kin.model.links]))).vec8()
 
 
+def on_ground(polygon: ConvexPolygon, x_base: Array) -> Array:
+    """Return the vertices (m, 3) [m] of a polygon in the plane of the base sole, given the sole's pose (8,)."""
+    corners: Array = DQ(x_base).transform_point(np.pad(polygon.vertices, ((0, 0), (0, 1))))
+    return corners
+
+
 class NamedRegion(NamedTuple):
     """The region of a constraint with its name and colour, in odom or in the base frame."""
 
@@ -148,7 +152,7 @@ class Gauge:
     role : str
         ``kept`` (an inequality), ``held`` (an equality; `value` is its residual) or ``watched`` (not a constraint).
     title : str
-        By default the name.
+        Of the constraint; empty if it has none.
     color : tuple of int
         Red, green, blue.
     """
@@ -160,6 +164,11 @@ class Gauge:
     role: str
     title: str = ""
     color: Rgb = PLAIN.color
+
+    @property
+    def label(self) -> str:
+        """What pictures call it: its title, or its name."""
+        return self.title or self.name.replace("_", " ")
 
 
 def _gauge(constraint: Constraint, d: float) -> Gauge:
@@ -272,7 +281,7 @@ class Scene:
         phase, model = moment.phase, self.model
         kin, found = self.assess(moment)
         x = np.asarray(moment.x_odom_base)
-        polygon = support_polygon(model, phase, kin).vertices
+        polygon = support_polygon(model, phase.base, kin, double=phase.double)
         regions = [(c, shape) for c in phase.inequalities if (shape := c.region(kin)) is not None]
         return View(
             moment=moment,
@@ -281,7 +290,7 @@ class Scene:
             soles={foot: compose(x, kin.pose(model.soles[foot].frame)) for foot in Foot},
             com=DQ(x).transform_point(kin.com),
             ground=float(DQ(x).transform_point(np.zeros(3))[2]),
-            polygon=np.array([DQ(x).transform_point(np.append(vertex, 0.0)) for vertex in polygon]),
+            polygon=on_ground(polygon, x),
             target=None if phase.swing_target is None else compose(x, phase.swing_target),
             regions=tuple(
                 NamedRegion(c.name, replace(shape, pose=compose(x, shape.pose)), c.look.color) for c, shape in regions

@@ -111,7 +111,7 @@ class Assessor:
     def _margins(self, kin: Kinematics, distances: Mapping[str, float]) -> dict[str, float]:
         model, phase, paper = self.model, self.phase, paper_margin(self.phase, distances)
         return ({} if paper is None else {"margin/paper": float(paper)}) | {
-            "margin/polygon": support_polygon(model, phase, kin).distance(kin.com_on_ground),
+            "margin/polygon": support_polygon(model, phase.base, kin, double=phase.double).distance(kin.com_on_ground),
             "margin/joints": float(np.minimum(kin.q - model.q_min, model.q_max - kin.q).min()),
         }
 

@@ -146,7 +146,7 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> CellOutcome:
             if (problem := controller.problem) is not None and controller.phase.kind is not PhaseKind.STANCE:
                 reached.update(limits_at(command.velocity, problem.lower, problem.upper, fastest, model))
             if (phase := controller.phase) is not last or controller.finished:
-                double = phase.kind is not PhaseKind.SINGLE_SUPPORT
+                double = phase.double
                 if last is not None and last.kind is PhaseKind.SINGLE_SUPPORT and double:
                     landed.append(last)
                 if truth is not None and double:

@@ -12,9 +12,11 @@ import numpy as np
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.report.colors import BLUE, RED
 from dqwalk_ros.report.html.page import bad, figures, heading, origin_table, replay, table, write_page
-from dqwalk_ros.report.html.replay import frames_of, walk_data
-from dqwalk_ros.report.scene import bodies_of
+from dqwalk_ros.report.html.replay import Curve, Mark, Stretch, frames_of, walk_data
+from dqwalk_ros.report.metrics import support_polygon
+from dqwalk_ros.report.scene import bodies_of, on_ground
 from dqwalk_ros.whole_body.demands import Demand
 from dqwalk_ros.whole_body.figures import drawn
 from dqwalk_ros.whole_body.preview import Stepping
@@ -28,8 +30,6 @@ _CURVES = {
     "cop_margin": ("CoP, left to the edge", "mm", 1e3),
     "friction": ("friction, left to the pyramid", "% m g", 100.0),
 }
-_HAND, _TARGET = (0.12, 0.37, 0.71), (0.82, 0.14, 0.18)
-"""Colours of the balls at the hand and at its target."""
 _ROUNDING = 1e-6
 """Margins smaller than this are shown as zero, because a limit that is reached is not violated."""
 
@@ -86,32 +86,37 @@ def _checks(found: Sequence[Demand]) -> str:
 
 def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
     """Return plain data for `replay.js`, as `replay_data` does for a walk of phases."""
-    model, rows = walked.model, frames_of(walked.time)
-    kins = [Kinematics(model, q, Foot.LEFT) for q in walked.q[rows]]
-    soles = DQ(walked.x_base[rows]) * DQ(np.array([kin.pose(model.root) for kin in kins])).conj()
-    bodies = np.array([bodies_of(kin, sole) for kin, sole in zip(kins, soles.vec8(), strict=True)])
+    model, rows, began = walked.model, frames_of(walked.time), float(walked.time[0])
     stepping = Stepping.of(walked.config)
-    places, began = {Foot.LEFT: walked.left, Foot.RIGHT: walked.right}, float(walked.time[0])
+    bodies, polygons = [], []
+    for row in rows.tolist():
+        swing = stepping.swing(float(walked.time[row]))
+        base = Foot.LEFT if swing is None else swing.foot.other
+        kin = Kinematics(model, walked.q[row], base)
+        x = (DQ(walked.x_base[row]) * DQ(kin.pose(model.root)).conj()).vec8()
+        bodies.append(bodies_of(kin, x))
+        polygons.append(on_ground(support_polygon(model, base, kin, double=swing is None), x))
+    places = {Foot.LEFT: walked.left, Foot.RIGHT: walked.right}
     stands = [(0.0, foot, places[foot][0]) for foot in Foot]  # the initial stance
     for index, (when, _) in enumerate(walked.footholds()):
         foot = stepping.foot(index)
         if index:
             stands.append((when - began, foot, places[foot][walked.at(when) + 1]))
-    phases = []
+    stretches = []
     for k in [0, *(np.flatnonzero(np.diff(walked.single)) + 1).tolist()]:
         swing = stepping.swing(float(walked.time[k]))
         name = "both feet stand" if swing is None else f"the {swing.foot.value} foot swings"
-        base = Foot.LEFT if swing is None else swing.foot.other
-        phases.append((float(walked.time[k]) - began, name, swing is None, base))
-    curves = {"error of the hand": ("mm", 1e3 * walked.error[rows])}
-    for key, (name, unit, scale) in _CURVES.items():
+        stretches.append(Stretch(float(walked.time[k]) - began, name, swing is None))
+    error = "error of the hand"
+    curves = {error: Curve(error, "mm", 1e3 * walked.error[rows])}
+    for key, (title, unit, scale) in _CURVES.items():
         values = walked.margins[key][rows]
         known = np.isfinite(values)
         if known.any():
             exact = np.where(np.abs(values) < _ROUNDING, 0.0, values)
-            curves[name] = unit, scale * np.where(known, exact, np.nan)
+            curves[key] = Curve(title, unit, scale * np.where(known, exact, np.nan))
     return walk_data(
-        walked.config, model, walked.time[rows] - began, bodies, walked.com[rows],
+        walked.config, model, walked.time[rows] - began, np.array(bodies), walked.com[rows], polygons,
         [(when, foot, place + model.soles[foot].corners) for when, foot, place in stands],
-        phases, curves, [""] * len(rows), [(_HAND, walked.hand[rows]), (_TARGET, walked.target[rows])],
+        stretches, curves, [""] * len(rows), [Mark(BLUE, walked.hand[rows]), Mark(RED, walked.target[rows])],
     )  # fmt: skip

@@ -17,7 +17,6 @@ from recorded import repeated, rewrite, short_config, short_walk
 from dqwalk_ros import cli, load, load_model, make_controller, report, simulate
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.bag.messages import diagnostics_of, faults
@@ -25,6 +24,7 @@ from dqwalk_ros.report.figures import FIGURES
 from dqwalk_ros.report.figures.style import new_figure
 from dqwalk_ros.report.html.page import Subject, _heading
 from dqwalk_ros.report.html.replay import replay_data
+from dqwalk_ros.report.scene import Moments, Scene, tightest
 from dqwalk_ros.report.table import numbers
 
 
@@ -77,23 +77,28 @@ def test_the_page_contains_the_report(page):
     assert f"{report['walk']['duration']:.1f} s" in text
 
 
-def test_the_replay_matches_the_kinematics():
-    """In every frame, the bodies and the corners of the soles are where the kinematics have them."""
+def test_the_replay_shows_the_view_of_each_state():
+    """In every frame, the bodies, the support polygon and the regions are those of the `View`."""
     trace = short_walk()
-    data, model = replay_data(report.analyse(trace)), trace.model
-    t, bodies, corners = (np.frombuffer(b64decode(data[k]), "<f4") for k in ("t", "bodies", "corners"))
-    bodies, corners = bodies.reshape(len(t), -1, 7), corners.reshape(len(t), 2, 4, 3)
+    data, scene, moments = replay_data(report.analyse(trace)), Scene(trace.config, trace.model), Moments(trace)
+    t, bodies, points = (np.frombuffer(b64decode(v), "<f4") for v in (data["t"], data["bodies"], data["polygons"]["v"]))
+    bodies = bodies.reshape(len(t), -1, 7)
+    polygons = np.split(points.reshape(-1, 3), np.cumsum(list(b64decode(data["polygons"]["counts"]))))
+    regions = {r["name"]: np.frombuffer(b64decode(r["v"]), "<f4").reshape(len(t), 10) for r in data["regions"]}
     assert ((bodies[1:, :, 3:] * bodies[:-1, :, 3:]).sum(axis=-1) > 0.9).all()  # so that they can be interpolated
     for row in np.linspace(0, len(t) - 1, 25).astype(int):
-        tick = int(np.argmin(np.abs(trace.time - trace.time[0] - t[row])))
-        record = [r for r in trace.phases if r.start <= tick][-1]
-        kin, x = Kinematics(model, trace.q[tick], record.base), DQ(record.x_odom_base)
-        for shown, link in zip(bodies[row], model.links, strict=True):
-            away = DQ.from_pose(shown[:3], shown[3:]).conj() * x * DQ(kin.pose(link))
-            assert np.abs(np.append(away.translation(), away.rotation_vector())).max() < 1e-5, link
-        for shown, sole in zip(corners[row], model.soles.values(), strict=True):
-            expected = [x.transform_point(kin.point(sole.frame, corner)) for corner in sole.corners]
-            np.testing.assert_allclose(shown, expected, atol=1e-5)
+        view = scene.look(moments.at(int(np.argmin(np.abs(trace.time - trace.time[0] - t[row])))))
+        drawn = {region.name: region for region in view.regions}
+        assert {name for name, values in regions.items() if np.isfinite(values[row]).all()} == set(drawn)
+        placed = [(x, view.bodies[k]) for k, x in enumerate(bodies[row])]
+        placed += [(regions[name][row], region.region.pose) for name, region in drawn.items()]
+        for shown, pose in placed:
+            away = DQ.from_pose(shown[:3], shown[3:7]).conj() * DQ(pose)
+            assert np.abs(np.append(away.translation(), away.rotation_vector())).max() < 1e-5
+        for name, region in drawn.items():
+            np.testing.assert_allclose(regions[name][row, 7:], region.extent, atol=1e-6)
+        np.testing.assert_allclose(polygons[row], view.polygon, atol=1e-5)
+        assert data["tight"]["names"][b64decode(data["tight"]["at"])[row]] == tightest(view.gauges).name
 
 
 def test_the_page_shows_the_origin_of_the_walk_and_of_the_report(path, tmp_path, one_figure):

@@ -22,6 +22,7 @@ from dqwalk_ros.report.figures.style import (
     GREEN,
     GREY,
     INK,
+    ORANGE,
     RED,
     drawing,
     joined,
@@ -38,7 +39,7 @@ from dqwalk_ros.support.arrays import Array
 
 __all__ = ["on_the_ground", "top_view"]
 
-_ORANGE, _HULL, _HULL_EDGE = "#b35900", "#eef1f4", "#c9d1d9"
+_HULL, _HULL_EDGE = "#eef1f4", "#c9d1d9"
 _LONG = 0.45
 """Length of a walk [m] above which it is drawn above its margins instead of beside them."""
 _NUMBERS = 40
@@ -100,7 +101,7 @@ def top_view(series: Series) -> Figure:
     handles.append(Line2D([], [], color=INK, linewidth=2.0, label="CoM"))
     handles.append(Line2D([], [], color=GREY, linestyle=":", linewidth=1.2, label="start, swing"))
     if own is not None:
-        handles.append(Line2D([], [], color=_ORANGE, linewidth=1.0, alpha=0.6, label="sole of the URDF"))
+        handles.append(Line2D([], [], color=ORANGE, linewidth=1.0, alpha=0.6, label="sole of the URDF"))
     _legend(fig, handles)
     title = f"{series.trace.model.name}: {steps} step{'s' if steps != 1 else ''} from above"
     fig.suptitle(title, fontsize=12, fontweight="bold")
@@ -156,7 +157,7 @@ def _draw_steps(ax: Axes, series: Series, spans: Sequence[Span], base: Foot, own
     _draw_polygons(ax, stands, FOOT[base], FOOT[base] + "26", linewidth=1.4, zorder=3)
     if own is not None:
         of_urdf = [_corners(stance, own[base]) for stance in stances]
-        _draw_polygons(ax, of_urdf, _ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
+        _draw_polygons(ax, of_urdf, ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
     if series.trace.config.gait.style == "paper":
         centers = [DQ(stance).transform_point(soles[base].center) for stance in stances]
         _draw_rings(ax, centers, series.trace.config.ssp.com_radius, zorder=4)
@@ -171,7 +172,7 @@ def _draw_margins(ax: Axes, series: Series) -> None:
         curves.append((series.paper_margin, INK, "support region of the paper: planes, cylinder"))
     curves.append((series.true_margin, GREEN, "convex hull of the soles as configured"))
     if series.urdf_margin is not None:
-        curves.append((series.urdf_margin, _ORANGE, "convex hull of the soles of the URDF"))
+        curves.append((series.urdf_margin, ORANGE, "convex hull of the soles of the URDF"))
     for values, color, label in curves:
         ax.plot(series.time, 1e3 * values, color=color, label=label)
     ax.axhline(0.0, color=RED, linestyle=DASHED, linewidth=1.3)
@@ -210,7 +211,7 @@ def on_the_ground(series: Series) -> Figure:
     handles = [
         *_soles_legend(),
         Line2D([], [], color=INK, linewidth=1.6, label="CoM"),
-        Line2D([], [], color=_ORANGE, linewidth=1.0, label="centre of pressure"),
+        Line2D([], [], color=ORANGE, linewidth=1.0, label="centre of pressure"),
         Line2D([], [], color=GREY, marker="o", markersize=3, linestyle="", label="halfway between the feet"),
     ]
     if of.circle is not None:
@@ -234,7 +235,7 @@ def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
         _draw_polygons(ax, stands, FOOT[foot], FOOT[foot] + "1c", linewidth=1.0, zorder=2)
     if of.circle is not None:
         _draw_rings(ax, [of.circle.center], of.circle.radius, zorder=3)
-    ax.plot(of.physics.cop[:, 0], of.physics.cop[:, 1], color=_ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
+    ax.plot(of.physics.cop[:, 0], of.physics.cop[:, 1], color=ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
     ax.plot(of.com[:, 0], of.com[:, 1], color=INK, linewidth=1.6, zorder=5)
     ax.plot(*of.stands[:, :2].T, "o", color=GREY, markersize=2.5, zorder=6)
     _finish(ax, "A   True motion from above", "x [m]", "y [m]", "box")
@@ -244,7 +245,7 @@ def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
     """Draw the margin of the centre of pressure, the tilt, and which foot bears the weight."""
     tilt = np.degrees(of.tilt)
     most = float(np.nanmax(tilt))
-    for ax, values, color in zip(axes[:2], (1e3 * of.cop_margin, tilt), (_ORANGE, INK), strict=True):
+    for ax, values, color in zip(axes[:2], (1e3 * of.cop_margin, tilt), (ORANGE, INK), strict=True):
         mark_phases(ax, series)
         ax.plot(series.time, values, color=color, linewidth=1.1)
         set_time_limits(ax, series)

@@ -16,6 +16,7 @@ from dqwalk_ros.report.figures.style import (
     BLUE,
     DASHED,
     GREEN,
+    MUTED,
     RED,
     drawing,
     joined,
@@ -211,7 +212,7 @@ def _joint(ax: Axes, series: Series, i: int) -> None:
     ax.set_ylabel("angle [°]")
     closest = float(np.degrees(series.joint_margin[:, i].min()))
     ax.set_title(_joint_title(model.joint_names[i]))
-    ax.set_title(f"closest to a limit: {closest:.1f}°", loc="right", fontsize=8, fontweight="normal", color="#57606a")
+    ax.set_title(f"closest to a limit: {closest:.1f}°", loc="right", fontsize=8, fontweight="normal", color=MUTED)
 
 
 def _joint_title(name: str) -> str:

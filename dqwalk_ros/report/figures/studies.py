@@ -138,7 +138,7 @@ _WORD = {
     "servo.rate": ("output", "{:g} Hz", 1.0, 0.0),
     "servo.latency": ("latency", "{:.0f} ms", 1e3, 0.0),
 }
-_FELL = ("#7a0916", "#d1242f", "#f0a3a8")
+_FELL = ("#7a0916", RED, "#f0a3a8")
 """Colours from an early to a late fall."""
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
-from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.report import colors
+from dqwalk_ros.report.colors import hexed
 from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.output import written
@@ -25,6 +26,8 @@ __all__ = [
     "GREEN",
     "GREY",
     "INK",
+    "MUTED",
+    "ORANGE",
     "RED",
     "drawing",
     "joined",
@@ -36,8 +39,9 @@ __all__ = [
 ]
 
 
-BLUE, GREEN, RED, INK, GREY = "#1f5fb4", "#1d9a4e", "#d1242f", "#24292f", "#8c959f"
-FOOT = {Foot.LEFT: BLUE, Foot.RIGHT: GREEN}
+BLUE, GREEN, RED, ORANGE = map(hexed, (colors.BLUE, colors.GREEN, colors.RED, colors.ORANGE))
+INK, GREY, MUTED = map(hexed, (colors.INK, colors.GREY, colors.MUTED))
+FOOT = {foot: hexed(color) for foot, color in colors.FOOT.items()}
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -46,7 +50,7 @@ _STYLE: Any = {
     "axes.titlelocation": "left",
     "axes.labelsize": 9.0,
     "axes.labelcolor": INK,
-    "axes.edgecolor": "#57606a",
+    "axes.edgecolor": MUTED,
     "axes.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -54,8 +58,8 @@ _STYLE: Any = {
     "grid.color": "#e4e8ec",
     "grid.linewidth": 0.7,
     "text.color": INK,
-    "xtick.color": "#57606a",
-    "ytick.color": "#57606a",
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
     "lines.linewidth": 1.7,
@@ -161,5 +165,5 @@ def name_phases(ax: Axes, series: Series) -> None:
             ha="center",
             va="top",
             fontsize=7.5,
-            color="#57606a",
+            color=MUTED,
         )

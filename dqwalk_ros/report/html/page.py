@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from dqwalk_ros.report import colors
 from dqwalk_ros.report import table as tables
 from dqwalk_ros.report.bag.messages import Status, faults
 from dqwalk_ros.report.figures.style import Drawn, write_figure
@@ -23,6 +24,13 @@ from dqwalk_ros.support import provenance
 from dqwalk_ros.support.output import write_text
 
 __all__ = ["Markup", "Subject", "bad", "figures", "heading", "origin_table", "replay", "table", "write", "write_page"]
+
+
+_SHAPES = (
+    "Its edge is red while the centre of mass is outside. Orange: the plane or cylinder of the tightest constraint, "
+    "and on the ground the divergent component of motion."
+)
+"""Caption of what only a walk of phases shows."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,7 @@ def write(subjects: Sequence[Subject], path: str | os.PathLike[str], *, overwrit
     """Write the report of one walk, or of two side by side, to an HTML file; see `written` for errors."""
     parts = [
         f"<div class='two'>{''.join(map(_heading, subjects))}</div>",
-        replay([s.name for s in subjects]),
+        replay([s.name for s in subjects], _SHAPES),
         _comparison(subjects) if len(subjects) > 1 else _section("The walk in numbers", _all_numbers, subjects),
         _section("Smallest distance to each bound", _margins, subjects),
         _section("Phases", _phases, subjects),
@@ -65,7 +73,7 @@ def write_page(
         f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>dqwalk: {escape(name)}</title>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
         "<link rel='icon' href='data:,'>"
-        f"<style>{_asset('style.css')}</style></head><body><main>{''.join(parts)}</main>"
+        f"<style>{colors.css()}{_asset('style.css')}</style></head><body><main>{''.join(parts)}</main>"
         f"<script id='data' type='application/json'>{data}</script><script>{_asset('replay.js')}</script></body></html>"
     )
     write_text(path, text, overwrite=overwrite)
@@ -148,7 +156,7 @@ def _all_numbers(subject: Subject) -> str:
     return table(("", ""), tables.numbers(subject.report))
 
 
-def replay(names: Sequence[str], more: str = "") -> str:
+def replay(names: Sequence[str], more: str) -> str:
     """Return the replay of one walk, or of two side by side; `more` is added to its caption."""
     stages = "".join(
         f"<div><p>{escape(name)}: <b id='phase{k}'></b></p><div class='replay'>"
@@ -161,9 +169,9 @@ def replay(names: Sequence[str], more: str = "") -> str:
         "<div class='bar'><button id='play'>Play</button>"
         "<input id='time' type='range' min='0' value='0' aria-label='time'><span id='clock'></span>"
         f"<label>speed × <select id='speed'>{speeds}</select></label></div>"
-        "<p class='muted'>Drag to rotate, scroll to zoom, space to play. Red: centre of mass, its projection and "
-        f"path; green: support polygon. {more}Click a curve to go to that time. The curves show the distance to the "
-        "bound (dashed).</p></div>"
+        "<p class='muted'>Drag to rotate, scroll to zoom, space to play. Click a curve to go to that time. The curves "
+        "show the distance to the bound (dashed).<br>Red: centre of mass, its projection and path. Green: support "
+        f"polygon. {more}</p></div>"
     )
 
 
@@ -236,8 +244,8 @@ def _tick_times(subject: Subject) -> str:
     return (
         f"<p>Solver, {where} ({len(micro)}): {text}.</p>"
         "<svg viewBox='0 0 480 118' style='width:100%;max-width:640px'>"
-        f"<g fill='#1f5fb4'>{bars}</g><text x='0' y='115' font-size='11' fill='#57606a'>0</text>"
-        f"<text x='480' y='115' font-size='11' fill='#57606a' text-anchor='end'>{edges[-1]:.0f} µs</text></svg>"
+        f"<g fill='var(--blue)'>{bars}</g><text x='0' y='115' font-size='11' fill='var(--muted)'>0</text>"
+        f"<text x='480' y='115' font-size='11' fill='var(--muted)' text-anchor='end'>{edges[-1]:.0f} µs</text></svg>"
     )
 
 

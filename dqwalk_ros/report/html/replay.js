@@ -1,13 +1,16 @@
 "use strict";
 // Draws recorded walks with WebGL and their margins with a 2D canvas. DATA is a list of walks, one or two.
 (() => {
-  const buffer = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
+  const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const buffer = (text) => bytes(text).buffer;
   const floats = (text) => new Float32Array(buffer(text));
   const sub = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
   const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const unit = (a) => { const n = Math.hypot(...a) || 1; return [a[0] / n, a[1] / n, a[2] / n]; };
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const HERE = { p: [0, 0, 0], r: [1, 0, 0, 0] };  // no motion
+  const looks = getComputedStyle(document.documentElement), css = (name) => looks.getPropertyValue(`--${name}`).trim();
+  const rgba = (name, a = 1) => [...[1, 3, 5].map((k) => parseInt(css(name).slice(k, k + 2), 16) / 255), a];
 
   // ---- meshes: positions and normals, as triangles
   const box = () => {
@@ -53,7 +56,7 @@
   class Stage {
     constructor(canvas, walk) {
       this.canvas = canvas; this.walk = walk;
-      const gl = this.gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
+      const gl = this.gl = canvas.getContext("webgl", { alpha: false, antialias: true, preserveDrawingBuffer: true });
       if (!gl) { canvas.replaceWith(Object.assign(document.createElement("p"), { textContent: "This browser has no WebGL: no replay." })); return; }
       const build = (type, text) => { const s = gl.createShader(type); gl.shaderSource(s, text); gl.compileShader(s); return s; };
       const program = this.program = gl.createProgram();
@@ -140,10 +143,12 @@
       const grid = [], cell = 0.05, cx = Math.round(com[0] / cell), cy = Math.round(com[1] / cell), N = 50;
       for (let i = -N; i <= N; i++) grid.push([(cx + i) * cell, (cy - N) * cell, ground - 0.002], [(cx + i) * cell, (cy + N) * cell, ground - 0.002], [(cx - N) * cell, (cy + i) * cell, ground - 0.002], [(cx + N) * cell, (cy + i) * cell, ground - 0.002]);
       this.flat(gl.LINES, grid, [0.62, 0.67, 0.72, 0.75]);
-      const blue = [0.12, 0.37, 0.71, 1], green = [0.11, 0.6, 0.31, 1], red = [0.82, 0.14, 0.18, 1];
-      for (const p of w.prints) if (p.t <= t + 1e-6) this.ribbon([...p.c, p.c[0]].map((c) => [c[0], c[1], ground]), 0.0012, p.foot === "left" ? blue : green);
-      const hull = now.hull.map((c) => [c[0], c[1], ground + 0.001]);
-      this.flat(gl.TRIANGLE_FAN, hull, [0.11, 0.6, 0.31, 0.16]); this.ribbon([...hull, hull[0]], 0.0015, [0.14, 0.16, 0.18, 1]);
+      const red = rgba("com"), ring = (corners, up, width, color) => this.ribbon([...corners, corners[0]].map((c) => [c[0], c[1], c[2] + up]), width, color);
+      for (const p of w.prints) if (p.t <= t + 1e-6) ring(p.c, 0, 0.0012, rgba(p.foot));
+      const target = now.phase.target;
+      if (target) { this.flat(gl.TRIANGLE_FAN, target.c, rgba(target.foot, 0.3)); ring(target.c, 0.0005, 0.0012, rgba(target.foot)); }
+      this.flat(gl.TRIANGLE_FAN, now.polygon.map((c) => [c[0], c[1], c[2] + 0.001]), rgba("good", 0.16));
+      ring(now.polygon, 0.001, 0.0015, now.inside ? rgba("ink") : red);
       this.ribbon(w.way(t).map((c) => [c[0], c[1], ground + 0.002]), 0.0013, red);
       for (const s of w.shapes) {
         const size = s.k === "cylinder" ? [s.s[0], s.s[0], s.s[1]] : s.k === "sphere" ? [s.s[0], s.s[0], s.s[0]] : s.s;
@@ -151,23 +156,37 @@
       }
       const at = (p) => ({ ...HERE, p });
       this.solid("sphere", at(com), [0.011, 0.011, 0.011], red);
-      for (const point of w.points) { const p = w.place(point.v, t); if (!p.some(Number.isNaN)) this.solid("sphere", at(p), [0.022, 0.022, 0.022], [...point.color, 1]); }
+      for (const mark of w.marks) {
+        const p = now.values(mark.v);
+        if (!p.some(Number.isNaN)) this.solid(mark.disc ? "cylinder" : "sphere", at(p), mark.disc ? [0.008, 0.008, 0.006] : [0.022, 0.022, 0.022], [...mark.color, 1]);
+      }
       this.solid("cylinder", at([com[0], com[1], (com[2] + ground) / 2]), [0.001, 0.001, com[2] - ground], red);
       this.solid("cylinder", at([com[0], com[1], ground + 0.002]), [0.008, 0.008, 0.002], red);
+      gl.depthMask(false);  // the regions are transparent
+      for (const region of w.regions) {
+        const v = now.values(region.v);
+        if (v.some(Number.isNaN)) continue;
+        const [x, y, z] = v.slice(7), size = region.kind === "cylinder" ? [x / 2, y / 2, z] : [x, y, z].map((e) => Math.max(e, 0.0012));
+        this.solid(region.kind, { p: v.slice(0, 3), r: v.slice(3, 7) }, size, region.name === now.tight ? rgba("tight", 0.3) : [...region.color, 0.22]);
+      }
+      gl.depthMask(true);
     }
   }
 
   class Walk {
     constructor(d) {
       Object.assign(this, d);
-      for (const k of ["t", "bodies", "corners", "com"]) this[k] = floats(d[k]);
+      for (const k of ["t", "bodies", "com"]) this[k] = floats(d[k]);
+      const points = floats(d.polygons.v); let first = 0;
+      this.polygons = Array.from(bytes(d.polygons.counts), (n) => Array.from({ length: n }, () => [...points.subarray(first, first += 3)]));
       this.curves = d.curves.map((c) => ({ ...c, v: floats(c.v) }));
-      this.points = d.points.map((p) => ({ ...p, v: floats(p.v) }));
-      this.tightAt = Uint8Array.from(atob(d.tight.at), (c) => c.charCodeAt(0));
+      this.marks = d.marks.map((m) => ({ ...m, v: floats(m.v) }));
+      this.regions = d.regions.map((r) => ({ ...r, v: floats(r.v) }));
+      this.inside = this.curves.find((c) => c.name === "support_polygon");
+      this.tightAt = bytes(d.tight.at);
       this.end = this.t[this.t.length - 1];
     }
     row(t) { let a = 0, b = this.t.length - 1; while (b - a > 1) { const m = (a + b) >> 1; if (this.t[m] <= t) a = m; else b = m; } return t >= this.t[b] ? b : a; }
-    place(v, t) { const i = this.row(t); return [v[3 * i], v[3 * i + 1], v[3 * i + 2]]; }
     phase(t) { let k = 0; while (k + 1 < this.phases.length && this.phases[k + 1].t <= t + 1e-6) k++; return this.phases[k]; }
     way(t) { const out = [], n = this.row(t); const step = Math.max(1, n >> 9); for (let i = 0; i <= n; i += step) out.push([...this.com.subarray(3 * i, 3 * i + 3)]); return out; }
     state(t) {
@@ -176,19 +195,15 @@
       const mix = (a, k) => { const w = a.length / this.t.length; return (1 - f) * a[i * w + k] + f * a[j * w + k]; };
       const mixed = (a, k, n) => Array.from({ length: n }, (_, c) => mix(a, k + c));
       const body = (b) => { const r = mixed(this.bodies, 7 * b + 3, 4), norm = Math.hypot(...r); return { p: mixed(this.bodies, 7 * b, 3), r: r.map((v) => v / norm) }; };
-      const sole = (foot) => [0, 3, 6, 9].map((c) => mixed(this.corners, (foot === "left" ? 0 : 12) + c, 3));
-      const phase = this.phase(t), base = sole(phase.base), feet = phase.double ? [...sole("left"), ...sole("right")] : base;
-      return { body, com: mixed(this.com, 0, 3), ground: base.reduce((a, c) => a + c[2] / 4, 0), hull: hullOf(feet), phase };
+      const values = (v) => {  // those of frame i where frame j has none
+        const n = v.length / this.t.length, a = [...v.subarray(i * n, (i + 1) * n)], b = mixed(v, 0, n);
+        return b.some(Number.isNaN) ? a : b;
+      };
+      const polygon = this.polygons[i], ground = polygon.reduce((sum, c) => sum + c[2] / polygon.length, 0);
+      const inside = !this.inside || this.inside.v[i] >= 0, tight = this.tight.names[this.tightAt[i]];
+      return { body, values, com: mixed(this.com, 0, 3), ground, polygon, inside, tight, phase: this.phase(t) };
     }
   }
-  const hullOf = (points) => {
-    const p = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]), half = (ps) => {
-      const out = [];
-      for (const c of ps) { while (out.length > 1) { const a = out[out.length - 2], b = out[out.length - 1]; if ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0) break; out.pop(); } out.push(c); }
-      return out.slice(0, -1);
-    };
-    return [...half(p), ...half(p.reverse())];
-  };
 
   // ---- margins: one small curve each, the tightest marked
   class Curves {
@@ -196,7 +211,7 @@
       this.walk = walk;
       this.rows = walk.curves.map((curve) => {
         const row = document.createElement("div"); row.className = "curve"; row.dataset.name = curve.name;
-        row.innerHTML = `<span></span><b></b><canvas></canvas>`; row.firstChild.textContent = curve.name.replaceAll("_", " ") + (curve.name === "support_polygon" ? " (watched)" : "");
+        row.innerHTML = `<span></span><b></b><canvas></canvas>`; row.firstChild.textContent = curve.title;
         row.onclick = (e) => { const c = row.lastChild.getBoundingClientRect(); seek(walk.end * (e.clientX - c.left) / c.width); };
         root.append(row); return { row, curve, value: row.children[1], canvas: row.lastChild };
       });
@@ -206,17 +221,17 @@
       for (const { row, curve, value, canvas } of this.rows) {
         const v = curve.v[i], known = !Number.isNaN(v);
         row.classList.toggle("tight", curve.name === tight); row.classList.toggle("absent", !known);
-        value.textContent = known ? `${v.toFixed(2)} ${curve.unit}` : "–"; value.style.color = v < 0 ? "#d1242f" : "";
+        value.textContent = known ? `${v.toFixed(2)} ${curve.unit}` : "–"; value.style.color = v < 0 ? css("bad") : "";
         const W = canvas.width = canvas.clientWidth * devicePixelRatio, H = canvas.height = canvas.clientHeight * devicePixelRatio;
         const g = canvas.getContext("2d"), all = curve.v.filter((x) => !Number.isNaN(x));
         let low = 0, high = 1e-6; for (const x of all) { low = Math.min(low, x); high = Math.max(high, x); }
         const room = 0.08 * (high - low); low -= room; high += room;
         const X = (s) => W * s / w.end, Y = (x) => H * (1 - (x - low) / (high - low));
         g.fillStyle = "#f1f4f7"; w.phases.forEach((p, k) => { if (p.double) g.fillRect(X(p.t), 0, X((w.phases[k + 1] || { t: w.end }).t) - X(p.t), H); });
-        g.strokeStyle = "#d1242f"; g.setLineDash([5, 4]); g.beginPath(); g.moveTo(0, Y(0)); g.lineTo(W, Y(0)); g.stroke(); g.setLineDash([]);
-        g.strokeStyle = curve.name === tight ? "#e67e00" : "#1f5fb4"; g.lineWidth = 1.6 * devicePixelRatio; g.beginPath();
+        g.strokeStyle = css("bad"); g.setLineDash([5, 4]); g.beginPath(); g.moveTo(0, Y(0)); g.lineTo(W, Y(0)); g.stroke(); g.setLineDash([]);
+        g.strokeStyle = css(curve.name === tight ? "tight" : "blue"); g.lineWidth = 1.6 * devicePixelRatio; g.beginPath();
         let pen = false; for (let k = 0; k < w.t.length; k++) { const x = curve.v[k]; if (Number.isNaN(x)) { pen = false; continue; } if (pen) g.lineTo(X(w.t[k]), Y(x)); else g.moveTo(X(w.t[k]), Y(x)); pen = true; } g.stroke();
-        g.strokeStyle = "#24292f"; g.lineWidth = devicePixelRatio; g.beginPath(); g.moveTo(X(t), 0); g.lineTo(X(t), H); g.stroke();
+        g.strokeStyle = css("ink"); g.lineWidth = devicePixelRatio; g.beginPath(); g.moveTo(X(t), 0); g.lineTo(X(t), H); g.stroke();
       }
     }
   }

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.report.colors import DIVERGENT, Rgb
 from dqwalk_ros.report.metrics import Series
-from dqwalk_ros.report.scene import BodyShape, Moments, Scene, bodies_of, shapes_of, tightest
+from dqwalk_ros.report.scene import BodyShape, Moments, NamedRegion, Scene, shapes_of, tightest
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["frames_of", "replay_data", "shape_data", "walk_data"]
+__all__ = ["Mark", "Stretch", "frames_of", "replay_data", "shape_data", "walk_data"]
 
 _FRAMES, _RATE = 2400, 60.0
 """Largest number of frames of a walk, and largest rate [Hz]; the replay interpolates between them."""
@@ -32,33 +33,64 @@ def frames_of(time: Array) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, len(time) - 1, count).astype(np.intp))
 
 
+class Stretch(NamedTuple):
+    """A part of the walk with one name: its beginning [s], whether both feet stand, and the landing target."""
+
+    time: float
+    name: str
+    double: bool
+    target: tuple[Foot, Array] | None = None
+    """Swing foot and corners (4, 3) of its sole [m]."""
+
+
+class Curve(NamedTuple):
+    """A quantity over time (N,), nan where it is absent."""
+
+    title: str
+    unit: str
+    values: Array
+
+
+class Mark(NamedTuple):
+    """A point over time (N, 3) [m], nan where absent: a ball, or a disc on the ground."""
+
+    color: Rgb
+    points: Array
+    disc: bool = False
+
+
 def replay_data(series: Series) -> dict[str, Any]:
-    """Return the data of a walk of phases; see `walk_data`."""
+    """Return the data of a walk of phases, each frame being a `View`; see `walk_data`."""
     trace, model = series.trace, series.trace.model
     starts = [span.start for span in series.spans]
     ticks = np.unique(np.concatenate([frames_of(trace.time), starts]))
     scene, moments = Scene(trace.config, model), Moments(trace, (span.phase for span in series.spans))
-    bodies, com, curves, tight = [], [], {}, []  # type: ignore[var-annotated]
-    for row, tick in enumerate(ticks.tolist()):
-        moment = moments.at(tick)
-        kin, found = scene.assess(moment)
-        gauges = scene.gauges(moment.phase, found)
-        bodies.append(bodies_of(kin, moment.x_odom_base))
-        com.append(DQ(moment.x_odom_base).transform_point(kin.com))
-        tight.append(tightest(gauges).name)
-        for gauge in gauges:
+    views = [scene.look(moments.at(tick)) for tick in ticks.tolist()]
+    curves: dict[str, Curve] = {}
+    for row, view in enumerate(views):
+        for gauge in view.gauges:
             if gauge.role != "held":
-                curves.setdefault(gauge.name, (gauge.unit, np.full(len(ticks), np.nan)))[1][row] = gauge.value
+                absent = np.full(len(ticks), np.nan)
+                curves.setdefault(gauge.name, Curve(gauge.label, gauge.unit, absent)).values[row] = gauge.value
     if trace.loads is not None:
-        curves |= {f"load on the {foot.value} sole": ("N", trace.loads[ticks, k]) for k, foot in enumerate(Foot)}
-    prints, phases = [], []
+        for k, foot in enumerate(Foot):
+            title = f"load on the {foot.value} sole"
+            curves[title] = Curve(title, "N", trace.loads[ticks, k])
+    prints, stretches = [], []
     for span in series.spans:
-        start, base = float(trace.time[span.start] - trace.time[0]), span.phase.base
-        prints.append((start, base, DQ(span.record.x_odom_base).transform_point(model.soles[base].corners)))
-        phases.append((start, span.phase.name, span.double, base))
+        start, base, x = float(trace.time[span.start] - trace.time[0]), span.phase.base, DQ(span.record.x_odom_base)
+        prints.append((start, base, x.transform_point(model.soles[base].corners)))
+        landing = None
+        if span.phase.swing_target is not None:
+            corners = model.soles[base.other].corners
+            landing = base.other, (x * DQ(span.phase.swing_target)).transform_point(corners)
+        stretches.append(Stretch(start, span.phase.name, span.double, landing))
+    divergent = np.array([np.full(3, np.nan) if view.divergent is None else view.divergent for view in views])
     return walk_data(
-        trace.config, model, trace.time[ticks] - trace.time[0], np.array(bodies), np.array(com),
-        prints, phases, curves, tight,
+        trace.config, model, trace.time[ticks] - trace.time[0],
+        np.array([view.bodies for view in views]), np.array([view.com for view in views]),
+        [view.polygon for view in views], prints, stretches, curves, [tightest(view.gauges).name for view in views],
+        [Mark(DIVERGENT, divergent, disc=True)], [view.regions for view in views],
     )  # fmt: skip
 
 
@@ -68,11 +100,13 @@ def walk_data(
     time: Array,
     bodies: Array,
     com: Array,
+    polygons: Sequence[Array],
     prints: Sequence[tuple[float, Foot, Array]],
-    phases: Sequence[tuple[float, str, bool, Foot]],
-    curves: Mapping[str, tuple[str, Array]],
+    stretches: Sequence[Stretch],
+    curves: Mapping[str, Curve],
     tight: Sequence[str],
-    points: Sequence[tuple[tuple[float, float, float], Array]] = (),
+    marks: Sequence[Mark] = (),
+    regions: Sequence[Sequence[NamedRegion]] = (),
 ) -> dict[str, Any]:
     """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32.
 
@@ -80,41 +114,66 @@ def walk_data(
     ----------
     time, bodies, com : ndarray, shapes (N,) [s], (N, B, 8), (N, 3) [m]
         Of each frame: time since the first one, poses of the bodies, centre of mass.
+    polygons : sequence of ndarray, shape (m, 3) [m]
+        Support polygon of each frame.
     prints : sequence of (time, Foot, corners)
         Each footprint with the time from which it is shown [s] and its corners (4, 3) [m].
-    phases : sequence of (time, name, double support, base foot)
-    curves : mapping of str to (unit, ndarray of shape (N,))
+    stretches : sequence of Stretch
+    curves : mapping of str to Curve
+        By the name of the constraint, whose region it belongs to, or another one.
     tight : sequence of str
         Name of the curve that is marked in each frame.
-    points : sequence of (color, ndarray of shape (N, 3))
-        Further points that are drawn as balls: red, green and blue from 0 to 1, and positions [m], nan where absent.
+    marks : sequence of Mark
+    regions : sequence of sequence of NamedRegion
+        Regions of the constraints in each frame.
     """
     names, shapes = list(dict.fromkeys(tight)), shapes_of(config, model)
-    p, r = DQ(bodies).translation(), DQ(bodies).rotation().copy()
-    r[1:] *= np.where((r[1:] * r[:-1]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0).cumprod(axis=0)  # r and -r are the same
-    corners = np.stack([_corners(model, bodies, foot) for foot in Foot], axis=1)  # (N, 2, 4, 3)
     tops = [DQ(bodies[0, s.body]).transform_point(DQ(s.pose).translation())[2] for s in shapes]
     return {
         "shapes": [shape_data(shape) for shape in shapes],
-        "height": float(max(*tops, *p[0, :, 2]) - corners[0, ..., 2].min()),
+        "height": float(max(*tops, *DQ(bodies[0]).translation()[:, 2]) - polygons[0][:, 2].mean()),
         "t": _packed(time),
-        "bodies": _packed(np.concatenate([p, r], axis=-1)),
-        "corners": _packed(corners),
+        "bodies": _packed(_moving(bodies)),
         "com": _packed(com),
-        "prints": [{"t": t, "foot": foot.value, "c": [_rounded(c) for c in corners]} for t, foot, corners in prints],
-        "phases": [{"name": name, "t": t, "double": both, "base": base.value} for t, name, both, base in phases],
-        "curves": [{"name": name, "unit": unit, "v": _packed(v)} for name, (unit, v) in curves.items()],
-        "points": [{"color": color, "v": _packed(v)} for color, v in points],
-        "tight": {"names": names, "at": base64.b64encode(bytes(names.index(name) for name in tight)).decode()},
+        "polygons": {"counts": _bytes(len(polygon) for polygon in polygons), "v": _packed(np.concatenate(polygons))},
+        "prints": [{"t": t, "foot": foot.value, "c": _points(corners)} for t, foot, corners in prints],
+        "phases": [_phase(stretch) for stretch in stretches],
+        "curves": [
+            {"name": name, "title": c.title, "unit": c.unit, "v": _packed(c.values)} for name, c in curves.items()
+        ],
+        "marks": [{"color": _color(color), "disc": disc, "v": _packed(points)} for color, points, disc in marks],
+        "regions": _regions(regions),
+        "tight": {"names": names, "at": _bytes(names.index(name) for name in tight)},
     }
 
 
-def _corners(model: RobotModel, bodies: Array, foot: Foot) -> Array:
-    """Return the corners of a sole (N, 4, 3) [m], given the poses of all bodies (N, B, 8)."""
-    sole = model.soles[foot]
-    frame = model.frames[sole.frame]
-    x = DQ(bodies[:, [frame.body]]) * DQ(frame.pose)
-    return x.transform_point(sole.corners)
+def _moving(x: Array) -> Array:
+    """Return poses (N, ..., 8) as positions and quaternions (N, ..., 7), which can be interpolated over time."""
+    p, r = DQ(x).translation(), DQ(x).rotation().copy()
+    r[1:] *= np.where((r[1:] * r[:-1]).sum(-1, keepdims=True) < 0.0, -1.0, 1.0).cumprod(axis=0)  # r and -r are the same
+    return np.concatenate([p, r], axis=-1)
+
+
+def _phase(stretch: Stretch) -> dict[str, Any]:
+    target = stretch.target and {"foot": stretch.target[0].value, "c": _points(stretch.target[1])}
+    return {"name": stretch.name, "t": stretch.time, "double": stretch.double, "target": target}
+
+
+def _regions(frames: Sequence[Sequence[NamedRegion]]) -> list[dict[str, Any]]:
+    """Return position, quaternion and extent (N, 10) of each region, nan in the frames without it."""
+    first = {region.name: region for regions in reversed(frames) for region in regions}
+    poses = {name: np.full((len(frames), 8), np.nan) for name in first}
+    extents = {name: np.full((len(frames), 3), np.nan) for name in first}
+    for row, regions in enumerate(frames):
+        for region in regions:
+            poses[region.name][row], extents[region.name][row] = region.region.pose, region.extent
+    return [
+        {
+            "name": name, "kind": "cylinder" if region.region.kind == "cylinder" else "box",
+            "color": _color(region.color), "v": _packed(np.hstack([_moving(poses[name]), extents[name]])),
+        }
+        for name, region in first.items()
+    ]  # fmt: skip
 
 
 def shape_data(shape: BodyShape) -> dict[str, Any]:
@@ -135,6 +194,18 @@ def _pose(x: Array) -> dict[str, list[float]]:
 def _rounded(values: Array) -> list[float]:
     """Return numbers for JSON, rounded to keep the file small."""
     return [round(float(v), _DIGITS) for v in values]
+
+
+def _points(points: Array) -> list[list[float]]:
+    return [_rounded(point) for point in points]
+
+
+def _color(color: Rgb) -> list[float]:
+    return [round(channel / 255.0, 4) for channel in color]
+
+
+def _bytes(values: Iterable[int]) -> str:
+    return base64.b64encode(bytes(values)).decode()
 
 
 def _packed(values: NDArray[Any], kind: str = "<f4") -> str:

@@ -15,9 +15,10 @@ import viser
 
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.report.scene import COM, DIVERGENT, FOOT, BodyShape, Moment, NamedRegion, Scene, View, tightest
+from dqwalk_ros.report.colors import BLUE, COM, DIVERGENT, FOOT, INK, MUTED, TIGHT, Rgb, hexed
+from dqwalk_ros.report.scene import BodyShape, Moment, NamedRegion, Scene, View, tightest
 from dqwalk_ros.report.viewer.guard import HOST, guarded
-from dqwalk_ros.report.viewer.panels import TIGHT, History, margins_html, status_html
+from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ViewerError
 from dqwalk_ros.walks.table import walk_type
@@ -75,7 +76,7 @@ class Page:
             self.close()
             raise ViewerError(f"port {port} is in use on this machine; choose another with --port, or 0 for any")
         gui = self.server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium", brand_color=(31, 95, 180))
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium", brand_color=BLUE)
         gui.set_panel_label("dqwalk")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(320)
@@ -248,13 +249,13 @@ class Page:
 
 
 def _message(text: str) -> str:
-    style = "font:14px system-ui,sans-serif;color:#57606a;padding:10px"
+    style = f"font:14px system-ui,sans-serif;color:{hexed(MUTED)};padding:10px"
     return f'<div data-dqwalk="status" style="{style}">{escape(text)} …</div>'
 
 
 # ---------------------------------------------------------------------- the drawing
 
-_INK, _COM_SOFT = (36, 41, 47), (240, 160, 160)
+_COM_SOFT: Rgb = (240, 160, 160)
 _TRAIL = 600
 """Points of the path of the centre of mass."""
 _THIN = 0.0012
@@ -343,7 +344,7 @@ class _Drawing:
         length = 0.5 * float(view.com[2] - view.ground)
         end = begin + length * DQ(view.soles[view.moment.phase.base]).rotation_matrix()[:, 0]
         self._scene.add_arrows(
-            "/ahead", np.array([[begin, end]], np.float32), np.array(_INK), shaft_radius=0.012 * length,
+            "/ahead", np.array([[begin, end]], np.float32), np.array(INK), shaft_radius=0.012 * length,
             head_radius=0.04 * length, head_length=0.12 * length,
         )  # fmt: skip
 
@@ -375,9 +376,9 @@ class _Drawing:
             return
         self._polygon = view.polygon
         outside = view.gauges[-1].value < 0.0
-        self._outline("/support/polygon", view.polygon + _LIFT, COM if outside else _INK, 3.0)
+        self._outline("/support/polygon", view.polygon + _LIFT, COM if outside else INK, 3.0)
 
-    def _outline(self, name: str, corners: Array, color: tuple[int, int, int], thickness: float) -> None:
+    def _outline(self, name: str, corners: Array, color: Rgb, thickness: float) -> None:
         pairs = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1).astype(np.float32)
         self._scene.add_line_segments(name, pairs, np.array(color), thickness=thickness, thickness_units="screen")
 

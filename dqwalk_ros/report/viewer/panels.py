@@ -6,18 +6,16 @@ from html import escape
 
 import numpy as np
 
-from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.report.scene import COM, FOOT, Gauge, Rgb, View, tightest
+from dqwalk_ros.report.colors import GREEN, INK, MUTED, ORANGE, RED, TIGHT, hexed
+from dqwalk_ros.report.scene import Gauge, View, tightest
 
-__all__ = ["TIGHT", "History", "margins_html", "status_html"]
+__all__ = ["History", "margins_html", "status_html"]
 
 _MOST = 900
 """Most points of a curve; when it has more, every second one is dropped."""
 _WIDTH, _HEIGHT = 300.0, 34.0
-TIGHT: Rgb = (230, 126, 0)
-"""Colour of the tightest margin and of its shape."""
-_MUTED = "#6e7781"
-_FONT = "font:13px/1.35 system-ui,-apple-system,'Segoe UI',sans-serif;color:#24292f"
+_MUTED = hexed(MUTED)
+_FONT = f"font:13px/1.35 system-ui,-apple-system,'Segoe UI',sans-serif;color:{hexed(INK)}"
 
 
 class History:
@@ -63,7 +61,7 @@ def margins_html(view: View, history: History) -> str:
     held = [gauge for gauge in view.gauges if gauge.role == "held"]
     tail = ""
     if held:
-        cells = " &nbsp; ".join(f"{escape(_title(g))} <b>{abs(g.value):.2g}</b>" for g in held)
+        cells = " &nbsp; ".join(f"{escape(g.label)} <b>{abs(g.value):.2g}</b>" for g in held)
         tail = f'<div style="color:{_MUTED};padding:4px 10px">equalities, residual [10⁻³]: {cells}</div>'
     axis = (
         f'<div style="display:flex;justify-content:space-between;color:{_MUTED};font-size:11px;padding:0 10px">'
@@ -72,17 +70,13 @@ def margins_html(view: View, history: History) -> str:
     return f'<div data-dqwalk="margins" style="{_FONT}">{"".join(parts)}{axis}{tail}</div>'
 
 
-def _title(gauge: Gauge) -> str:
-    return gauge.title or gauge.name.replace("_", " ")
-
-
 def _row(gauge: Gauge, present: bool, tight: bool, history: History, span: tuple[float, float], now: float) -> str:
     kept = not present or gauge.value >= 0.0
-    color = _hexed(TIGHT if tight else gauge.color if kept else COM)
+    color = hexed(TIGHT if tight else gauge.color if kept else RED)
     value = f"{gauge.value:.2f} {gauge.unit}" if present else "–"
     fade = "" if present else "opacity:.38;"
-    mark = "background:#fff4e0;box-shadow:inset 3px 0 0 #e67e00;" if tight else ""
-    badge = ' <span style="color:#b35900;font-weight:700;font-size:11px">TIGHTEST</span>' if tight else ""
+    mark = f"background:#fff4e0;box-shadow:inset 3px 0 0 {hexed(TIGHT)};" if tight else ""
+    badge = f' <span style="color:{hexed(ORANGE)};font-weight:700;font-size:11px">TIGHTEST</span>' if tight else ""
     share = float(np.clip(gauge.share, 0.0, 1.0)) if present else 0.0
     bar = (
         '<div style="height:4px;background:#e4e8ec;border-radius:2px;margin:1px 0 2px">'
@@ -90,7 +84,7 @@ def _row(gauge: Gauge, present: bool, tight: bool, history: History, span: tuple
     )
     return (
         f'<div style="padding:4px 10px 2px;{fade}{mark}"><div style="display:flex;justify-content:space-between">'
-        f"<span>{escape(_title(gauge))}{badge}</span>"
+        f"<span>{escape(gauge.label)}{badge}</span>"
         f'<b style="font-variant-numeric:tabular-nums;color:{color}">{value}</b></div>'
         f"{bar}{_curve(gauge.name, color, history, span, now)}</div>"
     )
@@ -120,21 +114,16 @@ def _curve(name: str, color: str, history: History, span: tuple[float, float], n
         f'<svg viewBox="0 0 {_WIDTH:.0f} {_HEIGHT:.0f}" preserveAspectRatio="none" '
         f'style="width:100%;height:{_HEIGHT:.0f}px;display:block">'
         f'<path d="{marks}" stroke="#d0d7de" fill="none" vector-effect="non-scaling-stroke"/>'
-        f'<path d="M0 {y(0.0):.1f}H{_WIDTH:.0f}" stroke="#d1242f" stroke-dasharray="4 3" fill="none" '
+        f'<path d="M0 {y(0.0):.1f}H{_WIDTH:.0f}" stroke="{hexed(RED)}" stroke-dasharray="4 3" fill="none" '
         'vector-effect="non-scaling-stroke"/>'
         f'<path data-curve="{escape(name)}" d="{"".join(path)}" stroke="{color}" stroke-width="1.6" fill="none" '
         'stroke-linejoin="round" vector-effect="non-scaling-stroke"/>'
-        f'<path d="M{x(now):.1f} 0V{_HEIGHT}" stroke="#24292f" stroke-width="1" fill="none" '
+        f'<path d="M{x(now):.1f} 0V{_HEIGHT}" stroke="{hexed(INK)}" stroke-width="1" fill="none" '
         'vector-effect="non-scaling-stroke"/></svg>'
     )
 
 
-def _hexed(color: Rgb) -> str:
-    """Return a colour in HTML notation."""
-    return "#{:02x}{:02x}{:02x}".format(*color)
-
-
-_LEVEL = {"OK": _hexed(FOOT[Foot.RIGHT]), "WARN": _hexed(TIGHT), "ERROR": _hexed(COM)}
+_LEVEL = {"OK": hexed(GREEN), "WARN": hexed(TIGHT), "ERROR": hexed(RED)}
 
 
 def status_html(view: View, *, steps: int, total: int, note: str) -> str:

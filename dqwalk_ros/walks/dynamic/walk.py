@@ -493,7 +493,7 @@ class DynamicWalk(SteppingWalk):
         self._support = outline.edges()
         self._legs = kin.tree.frames[self.model.pelvis].moves
         alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
-        both = phase.kind is not PhaseKind.SINGLE_SUPPORT
+        both = phase.double
         self._soles = Soles.of(self.model, phase.base, both=both, at=alone)
 
     def _transfer_reference(self, phase: Phase, other: Footprint, rule: Timed, before: Phase | None) -> Reference:

@@ -15,7 +15,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import ComInsideEdges
 from dqwalk_ros.paper.geometry import moved_inside
 from dqwalk_ros.paper.kinematics import Kinematics, Place, point, support_tree
-from dqwalk_ros.paper.phase import Phase, PhaseKind
+from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY, Soles, gravity_torques, ground_torques
 from dqwalk_ros.support.arrays import Array
@@ -50,7 +50,7 @@ class Balance:
     def __init__(self, phase: Phase, config: Config) -> None:
         model, standing = phase.model, config.standing
         tree = support_tree(model, phase.base)
-        self.phase, self._both = phase, phase.kind is not PhaseKind.SINGLE_SUPPORT
+        self.phase, self._both = phase, phase.double
         path = next((task for task in phase.tasks if isinstance(task, ComPath)), None)
         self._goal: _Goal | None = None
         if path is not None and standing.balance > 0.0:
