@@ -25,7 +25,7 @@ from dqwalk_ros.paper.tasks import Task, converge
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["Assembly", "Evaluation"]
+__all__ = ["Assembly", "Evaluation", "least_after"]
 
 
 DEPENDENT = 5e-3
@@ -334,9 +334,8 @@ class Assembly:
 
         The margin of an equality is -|d|. Of a body that is too far for a row it is only known that it does not touch.
         """
-        turned, (_, eta, speed), rows = float(np.abs(q_after - q).sum()), self.rows, len(self.near)
-        least: Array = sampled(margins, eta, speed, dt, period, turned, self.radius)
-        least[:rows] = np.where(margins[:rows] >= self.near, -0.5 * self.radius[:rows] * turned**2, least[:rows])
+        turned = float(np.abs(q_after - q).sum())
+        least: Array = least_after(margins, self.rows, self.near, self.radius, turned, period, dt)
         return least
 
     def share(self, now: Evaluation, names: Collection[str]) -> tuple[Array, Array]:
@@ -375,6 +374,18 @@ class Assembly:
             else:
                 out[name] = part.min(axis=-1)
         return out
+
+
+@jit
+def least_after(
+    margins: Array, rows: Array, near: Array, radius: Array, turned: float, period: float, dt: float
+) -> Array:
+    """Return the least margins after a period; see `Assembly.after`, which has the other arguments."""
+    least: Array = sampled(margins, rows[1], rows[2], dt, period, turned, radius)
+    for i in range(len(near)):
+        if margins[i] >= near[i]:
+            least[i] = -0.5 * radius[i] * turned**2
+    return least
 
 
 @jit

@@ -96,27 +96,28 @@ def limits_reached(series: Series, angles: Array) -> Mapping[str, int]:
     for span in series.spans:
         config, (upper, lower) = span.record.config or trace.config, span.phase.limits
         fastest = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
-        for tick in range(span.start, span.end):
-            u, q = trace.u[tick], angles[tick]
-            if not np.isfinite(u).all() or span.phase.kind is PhaseKind.STANCE:
-                continue
-            d_max, d_min = model.q_max - q, q - model.q_min
-            most, least = (
-                vfi(d, np.full(model.n, row.bound), np.full(model.n, row.eta), row.return_speed, config.dt)
-                for d, row in ((d_max, upper), (d_min, lower))
-            )
-            found.update(limits_at(u, np.maximum(least, -fastest), np.minimum(-most, fastest), fastest, model))
+        if span.phase.kind is PhaseKind.STANCE:
+            continue
+        u, q = trace.u[span.ticks], angles[span.ticks]
+        known = np.isfinite(u).all(axis=1)
+        u, q = u[known], q[known]
+        most, least = (
+            vfi(d.ravel(), np.full(d.size, row.bound), np.full(d.size, row.eta), row.return_speed, config.dt)
+            for d, row in ((model.q_max - q, upper), (q - model.q_min, lower))
+        )
+        bounds = np.maximum(least.reshape(u.shape), -fastest), np.minimum(-most.reshape(u.shape), fastest)
+        found.update(limits_at(u, *bounds, fastest, model))
     return dict(found.most_common())
 
 
-def limits_at(u: Array, lower: Array, upper: Array, fastest: Array, model: RobotModel) -> list[str]:
-    """Return the limits at which joint velocities are; see `limits_reached`.
+def limits_at(u: Array, lower: Array, upper: Array, fastest: Array, model: RobotModel) -> dict[str, int]:
+    """Return on how many ticks joint velocities are at which limits; see `limits_reached`.
 
     Parameters
     ----------
-    u : ndarray, shape (n,)
+    u : ndarray, shape (..., n)
         Commanded velocities [rad/s].
-    lower, upper : ndarray, shape (n,)
+    lower, upper : ndarray, shape (..., n)
         Their bounds by the joint limits and by the largest velocities, `fastest` (n,) [rad/s].
     model : RobotModel
     """
@@ -126,4 +127,5 @@ def limits_at(u: Array, lower: Array, upper: Array, fastest: Array, model: Robot
         "joint_max": ~speed & (u >= upper - _AT_LIMIT),
         "joint_min": ~speed & (u <= lower + _AT_LIMIT),
     }
-    return [f"{kind}/{model.joint_names[i]}" for kind, at in kinds.items() for i in np.flatnonzero(at)]
+    counts = {kind: np.count_nonzero(at.reshape(-1, model.n), axis=0) for kind, at in kinds.items()}
+    return {f"{kind}/{model.joint_names[i]}": int(n[i]) for kind, n in counts.items() for i in np.flatnonzero(n)}

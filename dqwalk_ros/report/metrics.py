@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.paper.assembly import least_after
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMassOnGround, Observer, Pose
 from dqwalk_ros.paper.foot import Foot
@@ -26,6 +27,7 @@ from dqwalk_ros.report.ground import Ground
 from dqwalk_ros.report.hull import hull_margin
 from dqwalk_ros.robot.model import RobotModel, Sole, parse_model
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ModelError
 from dqwalk_ros.trace import PhaseRecord, Trace
 
@@ -351,12 +353,30 @@ def _sampled(phase: Phase, dt: float, time: Array, q: Array, margins: Array) -> 
     made = phase.assembly
     d = margins.copy()
     d[:, : made.equality_rows] = -np.abs(d[:, : made.equality_rows])  # an equality converges from either side
-    spare, held, least = np.full(d.shape, np.nan), np.zeros(d.shape), d[0]
-    for k, period in enumerate(np.diff(time).tolist()):
-        given = q[k], q[k + 1], period, dt
-        spare[k + 1] = (d[k + 1] - made.after(d[k], *given)) / period
-        least = made.after(least, *given)
-        held[k + 1] = d[k + 1] - least
+    spare, held = np.full(d.shape, np.nan), np.zeros(d.shape)
+    _follow_bounds(
+        d, np.diff(time), np.abs(np.diff(q, axis=0)).sum(axis=1), dt, made.rows, made.near, made.radius, spare, held
+    )
     rows = len(made.near)
     spare[1:, :rows][d[:-1, :rows] >= made.near] = np.inf
     return spare, held
+
+
+@jit
+def _follow_bounds(
+    d: Array,
+    periods: Array,
+    turned: Array,
+    dt: float,
+    rows: Array,
+    near: Array,
+    radius: Array,
+    spare: Array,
+    held: Array,
+) -> None:
+    """Fill `spare` and `held` from the margins d of some ticks, all (ticks, rows); see `Assembly.after`."""
+    least = d[0]
+    for k in range(len(periods)):
+        spare[k + 1] = (d[k + 1] - least_after(d[k], rows, near, radius, turned[k], periods[k], dt)) / periods[k]
+        least = least_after(least, rows, near, radius, turned[k], periods[k], dt)
+        held[k + 1] = d[k + 1] - least

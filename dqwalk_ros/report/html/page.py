@@ -31,6 +31,9 @@ _SHAPES = (
     "and on the ground the divergent component of motion."
 )
 """Caption of what only a walk of phases shows."""
+_MANY = 100
+"""Number of phases above which the figures are png, which is smaller then."""
+_MIME = {"svg": "image/svg+xml", "png": "image/png"}
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ def write(subjects: Sequence[Subject], path: str | os.PathLike[str], *, overwrit
         _comparison(subjects) if len(subjects) > 1 else _section("The walk in numbers", _all_numbers, subjects),
         _section("Smallest distance to each bound", _margins, subjects),
         _section("Phases", _phases, subjects),
-        figures([s.figures for s in subjects]),
+        figures([s.figures for s in subjects], "png" if any(map(_is_long, subjects)) else "svg"),
         _section("Joint speeds and limits", _joints, subjects),
         _section("Time of a tick", _tick_times, subjects),
         _section("Faults", _faults, subjects),
@@ -195,14 +198,18 @@ def _phases(subject: Subject) -> str:
     return table([name.replace("\n", " ") for name in head], rows, (1, 2, 3, 4, 5, 7, 8))
 
 
-def figures(walks: Sequence[Iterable[Drawn]]) -> str:
-    """Return the figures of one walk, or of two, those of the same name side by side."""
+def _is_long(subject: Subject) -> bool:
+    return len(subject.series.spans) > _MANY
+
+
+def figures(walks: Sequence[Iterable[Drawn]], kind: str = "svg") -> str:
+    """Return the figures of one walk, or of two, those of the same name side by side, as svg or png."""
     rows: dict[str, str] = {}
     for walk in walks:
         for name, figure, caption in walk:
             image = io.BytesIO()
-            write_figure(figure, image, "svg")
-            source = f"data:image/svg+xml;base64,{base64.b64encode(image.getvalue()).decode()}"
+            write_figure(figure, image, kind)
+            source = f"data:{_MIME[kind]};base64,{base64.b64encode(image.getvalue()).decode()}"
             shown = f"<figure><img alt='{escape(caption)}' src='{source}'><figcaption>{caption}</figcaption></figure>"
             rows[name] = rows.get(name, "") + shown
     return "<h2>Figures</h2>" + "".join(f"<div class='two'>{row}</div>" for row in rows.values())
