@@ -63,11 +63,11 @@ class CommandHistory:
         pending: Array = _left(self.motion, s0, s1, fraction)
         return pending
 
-    def motion_of(self, time: float, motion: Array, dt: float) -> Array:
-        """Add the commanded motion (n,) of the period `dt` [s] from `time` [s] on; return what takes effect in it."""
-        before = self.pending(time)
-        self.add(time, motion / dt, dt)
-        effective: Array = motion + before - self.pending(time + dt)
+    def motion_of(self, time: float, velocity: Array, dt: float, until: float) -> Array:
+        """Add a command as `add` does; return the motion (n,) that takes effect from `time` to `until` [s]."""
+        before = self.motion - self.pending(time)
+        self.add(time, velocity, dt)
+        effective: Array = self.motion - self.pending(until) - before
         return effective
 
     def _forget(self, begin: float) -> None:

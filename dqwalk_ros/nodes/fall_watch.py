@@ -22,6 +22,36 @@ from dqwalk_ros.support.compiled import jit
 __all__ = ["Contradictions", "FallWatch"]
 
 
+class _Expected:
+    """The motion that is expected of the joints: what their servos are asked for, and what is commanded.
+
+    Parameters
+    ----------
+    config : Config
+    model : RobotModel
+    first : State
+        The first state that is answered.
+    """
+
+    def __init__(self, config: Config, model: RobotModel, first: State) -> None:
+        self._goals = ServoGoals.of(config, model)
+        self._goals.gate.use(first.q, first.time)
+        self._goals.begin()
+        self._late = CommandHistory(Drive.of(config, model).delay, 2 * model.n)
+
+    def motion(self, before: State, commanded: Array, moves: float, until: float) -> Array:
+        """Return both motions from a state until a time [s], shape (2, n) [rad].
+
+        The command in answer to the state, `commanded` (n,) [rad/s], moves the joints for `moves` [s].
+        """
+        goals = self._goals
+        goals.gate.use(before.q, before.time)
+        wanted = goals.wanted
+        goals.command(commanded, None, before.time, moves)
+        velocity = np.append((goals.wanted - wanted) / moves, commanded)
+        return self._late.motion_of(before.time, velocity, moves, until).reshape(2, -1)
+
+
 class Contradictions:
     """Detects joints that do not follow their commands, and inertial measurements that contradict each other.
 
@@ -56,7 +86,7 @@ class Contradictions:
 
     def __init__(self, config: Config, model: RobotModel, timeout: Callable[[], float]) -> None:
         self._model, self._limit, self._period, self._timeout = model, config.safety.contradiction, config.dt, timeout
-        self._config, self._delay = config, Drive.of(config, model).delay
+        self._config = config
         self.largest, self.joint = 0.0, -1
         self.forget()
         zero = np.zeros_like(self._off)  # compiled here, so that the first state is not answered late
@@ -69,9 +99,8 @@ class Contradictions:
     def forget(self) -> None:
         """Clear the sums; the next state is compared with nothing."""
         self._before: State | None = None
-        self._goals: ServoGoals | None = None
+        self._expected: list[_Expected] = []  # of a late plant that holds, and of one that moves
         self._off, self._turned = np.zeros((2, self._model.n)), np.zeros(3)
-        self._late = [CommandHistory(self._delay, self._model.n) for _ in self._off]
 
     def judge(self, state: State, commanded: Array, *, leaning: bool = False) -> str:
         """Return a description of the contradiction, empty if there is none.
@@ -90,9 +119,11 @@ class Contradictions:
             self.forget()
             self._before = state
             return ""
-        motions = self._asked(before, commanded, passed), passed * commanded
-        most = np.array([late.motion_of(before.time, m, passed) for late, m in zip(self._late, motions, strict=True)])
-        least = min(1.0, 2.0 * self._period / passed) * most
+        if not self._expected:
+            self._expected = [_Expected(self._config, self._model, before) for _ in range(2)]
+        holding, moving = self._expected
+        least = holding.motion(before, commanded, min(passed, 2.0 * self._period), state.time)
+        most = moving.motion(before, commanded, passed, state.time)
         asked_for, commanded_to, _ = (math.exp(-passed / memory) for memory in self.memory)
         k, off = _integrate(self._off, state.q, before.q, least, most, np.array([asked_for, commanded_to]))
         self.largest = max(self.largest, off)
@@ -115,18 +146,6 @@ class Contradictions:
                 "that of its gyroscope; check its mounting"
             )
         return ""
-
-    def _asked(self, before: State, commanded: Array, passed: float) -> Array:
-        """Return the motion for which a command, in answer to a state, asks the servos, shape (n,) [rad]."""
-        if self._goals is None:
-            self._goals = ServoGoals.of(self._config, self._model)
-            self._goals.gate.use(before.q, before.time)
-            self._goals.begin()
-        self._goals.gate.use(before.q, before.time)
-        wanted = self._goals.wanted
-        self._goals.command(commanded, None, before.time, passed)
-        asked: Array = self._goals.wanted - wanted
-        return asked
 
 
 @jit

@@ -271,6 +271,24 @@ def test_a_plant_that_is_late_on_a_busy_machine_is_no_contradiction(sign: float)
     assert "does not follow its commands" in judged(runaway, u)
 
 
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_what_a_late_plant_has_not_moved_is_not_expected_later(share: float) -> None:
+    """Servos follow 60 ms later; each fourth period the plant is late, and moves for all or for half of it."""
+    u, delay, times, motion = np.ones(MODEL.n), 0.06, [0.0], [0.0]
+    for k in range(300):
+        period = 0.02 if k % 4 else 0.08
+        moves = share * period if period > 0.02 else period
+        times += [times[-1] + moves, times[-1] + period]
+        motion += [motion[-1] + moves, motion[-1] + moves]
+    told = {"dt": 0.02, "servo.assumed_latency": delay, "servo.assumed_rate": 0.0, "servo.types": ()}
+    config = CONFIG.updated({**told, "servo.assumed_damping": 0.0})
+    free = dataclasses.replace(MODEL, q_min=np.full(MODEL.n, -np.inf), q_max=np.full(MODEL.n, np.inf))
+    judge = Contradictions(config, free, lambda: 0.1)
+    late = [State(t, np.interp(t - delay, times, motion) * u) for t in times[::2]]
+    assert [why for one in late if (why := judge.judge(one, u))] == []
+    assert judge.largest < 1e-6
+
+
 def test_a_clock_set_back_resets_the_check() -> None:
     u = np.zeros(MODEL.n)
     assert not judged([State(5.0, u), State(1.0, u + 3.0), State(1.02, u + 3.0)], u)
