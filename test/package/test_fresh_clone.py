@@ -1,7 +1,7 @@
 """Every target of the Makefile, and every command of README's tables and code blocks, works in a clone of its own.
 
 The clone is of the last commit. It has its own .venv and its own cache; of this machine only pip's settings and cache.
-`python -m pytest -m long -s test/package/test_fresh_clone.py -k "make and walk or colcon"` prints minutes and megabytes.
+`python -m pytest -m long -s test/package/test_fresh_clone.py -k "make and walk or colcon"` prints time and disk space.
 """
 
 from __future__ import annotations
