@@ -48,6 +48,8 @@ class Evaluation:
         upper and the lower joint limits [rad].
     J : ndarray, shape (r + l + m, n)
         Jacobians of all but the limits; those of the equalities are the program's.
+    wanted : ndarray, shape (r,)
+        J u that makes the errors of the tasks converge.
     problem : Problem
         The quadratic program (U6).
     error : float
@@ -57,6 +59,7 @@ class Evaluation:
     assembly: Assembly
     values: Array
     J: Array
+    wanted: Array
     problem: Problem
     error: float
 
@@ -65,6 +68,13 @@ class Evaluation:
         """Signed distance minus its bound of each row of the constraints, shape (l + m + 2n,)."""
         margins: Array = self.values[self.assembly.task_rows :] - self.assembly.rows[0]
         return margins
+
+    def share(self, names: Collection[str]) -> tuple[Array, Array]:
+        """Return H (n, n) and c (n,) of some tasks in the objective, without damping."""
+        spans = self.assembly.task_spans.items()
+        rows = [row for name, span in spans if name in names for row in range(span.start, span.stop)]
+        J, weights = self.J[rows], self.assembly.sqrt_weights[rows] ** 2
+        return (weights[:, None] * J).T @ J, -(weights * self.wanted[rows]) @ J
 
     def distances(self) -> dict[str, float]:
         """Return each signed distance minus its bound, by name: >= 0 for a satisfied inequality, 0 for an equality."""
@@ -122,9 +132,10 @@ _call = QUANTITY.call
 @jit
 def _assemble(
     q: Array, up: Array, elapsed: float, dt: float, velocity: Array, tree: tuple[Any, ...], bodies: tuple[Any, ...],
-    watched: tuple[Any, ...], stack: tuple[Any, ...], form: tuple[Any, ...], values: Array, J: Array, numbers: Numbers,
+    watched: tuple[Any, ...], stack: tuple[Any, ...], form: tuple[Any, ...], values: Array, J: Array, wanted: Array,
+    numbers: Numbers,
 ) -> float:  # fmt: skip
-    """Fill values, Jacobians J, and the numbers of the `Problem`; return the norm of the first task's error.
+    """Fill values, Jacobians J, `wanted` and the numbers of the `Problem`; return the norm of the first task's error.
 
     Records arrive as plain tuples, because numba reads these from Python in half the time.
     """
@@ -134,7 +145,7 @@ def _assemble(
     observe(at, seen)
     _evaluate(at.q, seen.s, made, elapsed, values)
     J[:] = made.gradients @ seen.J  # the chain rule: dd/dq = dd/ds ds/dq
-    error: float = _fill(values, J, made, _Form(*form), dt, velocity, numbers)
+    error: float = _fill(values, J, wanted, made, _Form(*form), dt, velocity, numbers)
     return error
 
 
@@ -164,11 +175,12 @@ def _evaluate(q: Array, s: Array, stack: _Stack, elapsed: float, values: Array) 
 
 
 @jit
-def _fill(values: Array, J: Array, stack: _Stack, form: _Form, dt: float, velocity: Array, numbers: Numbers) -> float:
-    """Fill the numbers of the `Problem`; return the norm of the first task's error."""
+def _fill(
+    values: Array, J: Array, wanted: Array, stack: _Stack, form: _Form, dt: float, velocity: Array, numbers: Numbers
+) -> float:
+    """Fill `wanted` and the numbers of the `Problem`; return the norm of the first task's error."""
     H, c, W, w, lower, upper, equalities = numbers
-    n, r, m = velocity.shape[0], form.sqrt_weights.shape[0], w.shape[0]
-    wanted = np.empty(r)
+    n, r, m = velocity.shape[0], wanted.shape[0], w.shape[0]
     for k in range(form.tasks.shape[0]):
         rows = slice(stack.spans[k, 0], stack.spans[k, 1])
         wanted[rows] = converge(values[rows], form.tasks[k, 0], form.tasks[k, 1]) - stack.rates[rows]
@@ -312,12 +324,12 @@ class Assembly:
         for live, copy in self._live:
             copy[:] = live
         (k, n), r = self._shape, self.task_rows
-        values, J = np.empty(k + 2 * n), np.empty((k, n))
+        values, J, wanted = np.empty(k + 2 * n), np.empty((k, n)), np.empty(r)
         H, c, w, lower, upper = np.empty((n, n)), np.empty(n), np.empty(k - r), np.empty(n), np.empty(n)
         numbers = H, c, J[r:], w, lower, upper, self.equality_rows
         error = _assemble(
             q, up, elapsed, _ANY if dt is None else dt, self._unlimited if velocity is None else velocity,
-            self._tree, self._bodies, self._watched, self._stack, self._form, values, J, numbers,
+            self._tree, self._bodies, self._watched, self._stack, self._form, values, J, wanted, numbers,
         )  # fmt: skip
         problem = Problem(*numbers, self.names)
         if not self._always:
@@ -327,7 +339,7 @@ class Assembly:
             kept = ~(values[r:k] - self.rows[0, : k - r] >= enters)  # also what is not a number
             names = itertools.compress(self.names, [*kept, *[True] * (2 * n)])
             problem = problem._replace(W=problem.W[kept], w=w[kept], names=tuple(names))
-        return Evaluation(self, values, J, problem, error)
+        return Evaluation(self, values, J, wanted, problem, error)
 
     def after(self, margins: Array, q: Array, q_after: Array, period: float, dt: float) -> Array:
         """Return the least margins (l + m + 2n,) after a period [s] that began with some; see `constraints.sampled`.
@@ -337,17 +349,6 @@ class Assembly:
         turned = float(np.abs(q_after - q).sum())
         least: Array = least_after(margins, self.rows, self.near, self.radius, turned, period, dt)
         return least
-
-    def share(self, now: Evaluation, names: Collection[str]) -> tuple[Array, Array]:
-        """Return H (n, n) and c (n,) of some tasks in the objective of the last evaluation, without damping."""
-        (_, n), rates = self._shape, self._stack[4]
-        H, c = np.zeros((n, n)), np.zeros(n)
-        for (name, span), (eta, saturation) in zip(self.task_spans.items(), self._form[0], strict=True):
-            if name in names:
-                J, weight = now.J[span], self.sqrt_weights[span] ** 2
-                H += (weight[:, None] * J).T @ J
-                c -= (weight * (converge(now.values[span], eta, saturation) - rates[span])) @ J
-        return H, c
 
     def error(self, kin: Kinematics, elapsed: float) -> float:
         """Return the norm of the first task's error, `elapsed` [s] after the phase began, without the program."""

@@ -491,7 +491,7 @@ class Arms:
                 return solution
         n, arms, weight = self._model.n, self._joints, self._config.weight
         others = np.delete(np.arange(n), arms)
-        H, c = now.assembly.share(now, self._tasks)
+        H, c = now.share(self._tasks)
         walk_H, walk_c = problem.H - H, problem.c - c
         walk_H[arms, arms] += weight
         keeps = ~of_arms
