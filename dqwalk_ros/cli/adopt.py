@@ -57,7 +57,7 @@ examples:
   dqwalk simulate --config adopted/dynamic.yaml --plant physics
   dqwalk reach --config adopted/whole_body.yaml --test 1
 """)
-@click.argument("urdf", type=click.Path(path_type=Path))
+@click.argument("urdf", metavar="FILE", type=click.Path(path_type=Path))
 @folder_option("adopted")
 @force_option
 @click.option("--package-path", "places", metavar="DIR", multiple=True,

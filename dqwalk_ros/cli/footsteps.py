@@ -31,7 +31,7 @@ examples:
   dqwalk footsteps --config my_biped.yaml --support right
 """)
 @config_option("poppy")
-@click.option("--support", type=click.Choice(["left", "right"]), default="left", help="Stance foot.")
+@click.option("--support", type=click.Choice(["left", "right"]), default="left", help="Support foot.")
 @set_option
 def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     """Show which steps the legs of a robot reach.

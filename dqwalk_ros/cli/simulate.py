@@ -21,7 +21,8 @@ __all__ = ["simulate"]
 writes to the folder of --out:
   bag/                 the walk as a rosbag2 (MCAP): ros2 bag, Foxglove, PlotJuggler, `dqwalk report`
   report.json          every phase, distance, margin and violation
-  figure7 8 9, top_view
+  top_view, figure9    the walk from above, and the joint angles; of the paper's walk also figure7 and figure8, its
+                       errors and distances; in physics also on_the_ground, the true motion
 
 Ctrl-C stops the walk and saves it up to there.
 
