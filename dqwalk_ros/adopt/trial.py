@@ -10,7 +10,6 @@ import numpy as np
 
 from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
 from dqwalk_ros.adopt.parameters import Numbers, rounded
-from dqwalk_ros.adopt.servo_choice import Gait, largest_loads, own_servos, step
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -22,6 +21,7 @@ from dqwalk_ros.report.verdict import violations
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.simulation import simulate
+from dqwalk_ros.studies.servo_choice import Gait, largest_loads, own_servos, step
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, PlantError
 from dqwalk_ros.trace import Trace

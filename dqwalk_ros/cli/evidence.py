@@ -6,7 +6,7 @@ import fnmatch
 import math
 import statistics
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -81,6 +81,7 @@ def evidence(path: str, engines: tuple[str, ...], wanted: tuple[str, ...], sampl
     Prints for every row and engine, MuJoCo and Drake, how many walks stood and how many reports are OK, each with the
     chance that this proves at least (95 % confidence), and the worst figures. Needs: pip install mujoco drake
     """
+    from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare_study, write_study
     from dqwalk_ros.studies import evidence as study
 
@@ -102,12 +103,15 @@ def evidence(path: str, engines: tuple[str, ...], wanted: tuple[str, ...], sampl
         ]
         for point, end in done
     ]
-    write_study(many, "evidence", head, lines, table(done))
+    with Progress(quiet=many.quiet) as bar:
+        bar(0.0, "ceilings of the robots")
+        tops = study.ceilings(rows)
+    write_study(many, "evidence", head, lines, table(done, tops))
     return 0 if all(end.stood for _, end in done) else 1
 
 
-def table(done: Sequence[tuple[dict[str, Any], WalkOutcome]]) -> str:
-    """Return a line per row and engine, and the reasons of what did not stand or is not OK."""
+def table(done: Sequence[tuple[dict[str, Any], WalkOutcome]], ceilings: Mapping[str, str]) -> str:
+    """Return a line per row and engine, with the ceilings of the rows, and why some did not stand or are not OK."""
     from dqwalk_ros.studies.evidence import bounds
 
     groups: dict[tuple[str, str], list[WalkOutcome]] = {}
@@ -130,13 +134,29 @@ def table(done: Sequence[tuple[dict[str, Any], WalkOutcome]]) -> str:
             figure([one.landing for one in ends], max, 1e3, 2),
             figure([one.inside for one in ends], min, 100.0, 2),
             figure([one.speed for one in ends], statistics.median, 1.0, 3),
+            ceilings.get(group[0], ""),
             figure([one.touching for one in ends], max, 1.0, 0),
         ]
         for group, ends in groups.items()
     ]
-    head = ("row", "engine", "stood", "OK", "tilt [deg]", "landing [mm]", "inside [%]", "speed [m/s]", "touching")
-    text = aligned(rows, head, right=range(4, 9))
+    head = (
+        "row",
+        "engine",
+        "stood",
+        "OK",
+        "tilt [deg]",
+        "landing [mm]",
+        "inside [%]",
+        "speed [m/s]",
+        "ceiling",
+        "touching",
+    )
+    text = aligned(rows, head, right=range(4, 10))
     lines = [text, "", "worst of all walks, the speed is the median; >= is the chance proved with 95 % confidence;"]
+    lines += [
+        "ceiling: the speed that the servos allow in steady steps; of pushes, what a pendulum on the soles catches"
+    ]
+    lines += ["in the weakest direction with the steps of the walk, without the momentum of trunk and arms"]
     lines += ["touching: states in which links of the robot touch each other, by their collision shapes in MuJoCo"]
     reasons = Counter(
         (*group, without_numbers(one.reason)) for group, ends in groups.items() for one in ends if one.reason

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,6 +111,7 @@ def pushes(
     from dqwalk_ros.report.figures.studies import pushes_figure
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.studies import pushes as study
+    from dqwalk_ros.studies.ceiling import PushCeiling
 
     if bottle:  # on the spot, unless the steps are given
         changes = ("gait.step_length=0", *changes)
@@ -139,24 +140,32 @@ def pushes(
         text = f"{table(found, f'momentum of a bottle of {bottle:g} kg')}\n\n{robocup(found, bottle, made)}"
         figure = pushes_figure(by_moment, f"{model.name}: largest momentum of a bottle of {bottle:g} kg survived [N s]")
     else:
-        where = link or model.pelvis
-        text = table(found, f"impulse of a push of {duration:g} s on {where}", study.impulse_scale(made))
+        where, pendulum = link or model.pelvis, PushCeiling(made, model)
+
+        def ceiling(one: Limit) -> float:
+            return pendulum.of(study.Push(one.moment, one.direction, one.survived, part=part))
+
+        text = table(found, f"impulse of a push of {duration:g} s on {where}", study.impulse_scale(made), ceiling)
         figure = pushes_figure(by_moment, f"{model.name}: largest push on {where} survived [N s]")
     write_study(many, "pushes", head, rows, text, figure)
     return 0
 
 
-def table(found: Sequence[Limit], what: str, scale: float | None = None) -> str:
+def table(
+    found: Sequence[Limit], what: str, scale: float | None = None, ceiling: Callable[[Limit], float] | None = None
+) -> str:
     """Return the impulses survived, described by `what`, a line per direction and a column per moment.
 
-    With the `scale` M sqrt(g h) of the robot [N s], the weakest are also printed as J*, divided by it.
+    With the `scale` M sqrt(g h) of the robot [N s], the weakest are also printed as J*, divided by it; with a `ceiling`
+    [N s], each has its own in brackets.
     """
     from dqwalk_ros.support.text_table import aligned
 
     moments = list(dict.fromkeys(one.moment for one in found))
 
     def cell(one: Limit) -> str:
-        return f"{'' if one.failed is not None else '>= '}{one.survived:.3g}"
+        beside = f" ({ceiling(one):.2f})" if ceiling else ""
+        return f"{'' if one.failed is not None else '>= '}{one.survived:.3g}{beside}"
 
     least = {m: min((one for one in found if one.moment == m), key=lambda one: one.survived) for m in moments}
     rows = [
@@ -169,6 +178,7 @@ def table(found: Sequence[Limit], what: str, scale: float | None = None) -> str:
     text = aligned(rows, ("towards [deg, 0 ahead, 90 left]", *moments), right=range(len(moments) + 1))
     head = f"largest {what} that is survived [N s]"
     head += f"; J* is it divided by M sqrt(g h) = {scale:.3g} N s" if scale else ""
+    head += "\nin brackets: what a pendulum on these soles catches with the steps of this walk" if ceiling else ""
     return f"{head}\n\n{text}"
 
 

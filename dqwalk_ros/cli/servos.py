@@ -12,24 +12,24 @@ from dqwalk_ros.cli.options import command, config_of, quiet_option, set_option
 from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
-    from dqwalk_ros.adopt.servo_choice import Choice, Most
+    from dqwalk_ros.studies.servo_choice import Choice, Most
 
 __all__ = ["servos"]
 
 
 @command("""
 columns:
-  one for each joint of a leg: the largest speed [m/s] that its torque-speed line allows at the step duration of ROBOT,
-  if all other joints are strong enough; > where the reach of the legs ends first, < where less was not tried
-  all       the smallest of these, and the joint that binds
-  height    largest height of a step [mm], and slope [deg], at the step length of ROBOT
-  push      largest push ahead that one longer step catches [N s]
+  one for each joint of a leg: the largest speed [m/s] that its torque-speed line allows by the best of several step
+            durations and heights of the CoM, if all other joints are strong enough; > where the reach of the legs ends
+            first, < where less was not tried
+  all       the largest speed that all of them allow by the same step, and the joint that binds
+  height    largest height of a step [mm], and slope [deg], at the step length and duration of ROBOT
+  push      largest push ahead [N s] that steps of such lengths catch
   rms       largest RMS torque of a joint at the speed of ROBOT, as a part of its stall torque: above 0.2 or so small
             servos get hot
 
-The model has no servo that lags, no backlash and no errors: leave a reserve. Only where the knee of the swinging leg
-binds, as in small robots, walks may be twice as fast, because the knee bends and stretches later. Every type has the
-voltage of its row, and the robot keeps its mass. `config/servos.yaml` has the data of the types with their sources.
+The model has no servo that lags, no backlash and no errors: leave a reserve. Every type has the voltage of its row, and
+the robot keeps its mass. `config/servos.yaml` has the data of the types with their sources.
 
 examples:
   dqwalk adopt my_robot.urdf && dqwalk servos adopted
@@ -45,10 +45,10 @@ def servos(robot: str, names: tuple[str, ...], quiet: bool, changes: tuple[str, 
 
     ROBOT is the configuration of a dynamic walk, or a folder that `dqwalk adopt` has written.
     """
-    from dqwalk_ros.adopt.servo_choice import Gait, choose
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.robot.servos import load_types
+    from dqwalk_ros.studies.servo_choice import Gait, choose
     from dqwalk_ros.support.text_table import aligned
 
     config = config_of(str(Path(robot) / "dynamic.yaml") if Path(robot).is_dir() else robot, changes)

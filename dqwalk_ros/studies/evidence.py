@@ -24,6 +24,7 @@ from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.ground import shortfall
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.simulation import simulate
+from dqwalk_ros.studies import ceiling
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.studies.runner import Store, run
@@ -33,7 +34,7 @@ from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
 
-__all__ = ["Row", "WalkOutcome", "bounds", "collect", "points", "read"]
+__all__ = ["Row", "WalkOutcome", "bounds", "ceilings", "collect", "points", "read"]
 
 CONFIDENCE = 0.95
 """Probability with which the bounds of `bounds` contain the true chance."""
@@ -297,6 +298,18 @@ def collect(
     store = Store(out / "walks.jsonl", key, every, WalkOutcome, force=force)
     done = run(functools.partial(_evaluate, rows, configs), store, **options)
     return [(every[k], outcome) for k, outcome in done.items()]
+
+
+def ceilings(rows: Mapping[str, Row]) -> dict[str, str]:
+    """Return what the robot allows beside what a row claims, as `ceiling.ceilings`; a random course has no ceiling."""
+    wanted = {name: row for name, row in rows.items() if not row.course}
+    pushes = {
+        name: [Push(one["foot"], one["direction"], row.push, part=one["part"]) for one in points({name: row}, [""])]
+        for name, row in wanted.items()
+        if row.push and not row.anywhere
+    }
+    made = {name: row.made() for name, row in wanted.items() if name in pushes or not row.push}
+    return ceiling.ceilings(made, pushes)
 
 
 def bounds(count: int, total: int) -> tuple[float, float]:

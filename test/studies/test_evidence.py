@@ -80,10 +80,10 @@ def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> Non
     ]
     done.append(({"row": "walk", "engine": "drake", "seed": 19}, WalkOutcome(False, "fell at 3.2 s")))
     done += [({"row": "pushes", "engine": "drake", "foot": "left"}, WalkOutcome(True))]
-    text = table(done)
+    text = table(done, {"walk": "0.35 m/s"})
     walk = next(line for line in text.splitlines() if line.lstrip().startswith("walk"))
     assert "19 of 20 (>= 75 %)" in walk
-    assert walk.split()[-5:] == ["0.57", "2.00", "99.00", "0.100", "18"]
+    assert walk.split()[-7:] == ["0.57", "2.00", "99.00", "0.100", "0.35", "m/s", "18"]
     assert "1 of 1 (>= " in text
     assert "1 x walk, drake: fell" in text
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from dqwalk_ros import cli
-from dqwalk_ros.adopt import servo_choice
-from dqwalk_ros.adopt.servo_choice import Gait, Step, choose, largest_loads, leg_pairs, own_servos, step
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import gravity_torques
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.servos import Servos, load_types
+from dqwalk_ros.studies import servo_choice
+from dqwalk_ros.studies.servo_choice import Gait, Step, choose, largest_loads, leg_pairs, own_servos, step
 from dqwalk_ros.support.errors import ConfigError
 
 
@@ -28,7 +28,13 @@ def poppy() -> tuple[Config, RobotModel]:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Try fewer steps."""
-    for name, values in (("_LENGTHS", [0.08, 0.2, 0.35]), ("_HEIGHTS", [0.02, 0.2]), ("_SLOPES", [0.0, 0.2])):
+    for name, values in (
+        ("_SPEEDS", [0.05, 0.15, 0.3]),
+        ("_DURATIONS", [0.72, 1.0]),
+        ("_LOWER", [0.0, 0.03]),
+        ("_HEIGHTS", [0.02, 0.2]),
+        ("_SLOPES", [0.0, 0.2]),
+    ):
         monkeypatch.setattr(servo_choice, name, np.array(values))
 
 
@@ -97,8 +103,8 @@ def test_stronger_and_faster_servos_allow_more(poppy: tuple[Config, RobotModel])
     weak, twice = types["AX-12"], replace(types["AX-12"], stall_torque=3.0, no_load_speed=12.0)
     own, one, two = choose(config, model, {"weak": weak, "twice": twice})
     assert (own.name, one.voltage) == ("own", 12.0)
-    assert one.speed.value == min(most.value for most in one.joints.values())
-    assert one.joints[one.speed.joint] is one.speed
+    assert one.speed.value <= min(most.value for most in one.joints.values())
+    assert one.speed.joint in one.joints
     for a, b in ((one.speed, two.speed), (one.height, two.height), (one.slope, two.slope)):
         assert (a.value, a.sign) == (b.value, b.sign) or a.value < b.value
     assert one.speed.value < two.speed.value

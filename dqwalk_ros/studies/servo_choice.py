@@ -7,8 +7,10 @@ which are taken as point masses, against gravity:
 
     tau_j = sum_b J_bj . m_b (a_b - g)
 
-A servo allows the step if |tau + armature q'' + friction sign q' + back_emf q'| stays below its stall torque. Nothing
-is left for balance: a walk near the limit has no reserve.
+A servo allows the step if |tau + armature q'' + friction sign q' + back_emf q'| stays below its stall torque. A speed
+is possible if the servos allow one of the steps that have it: of several durations, with the CoM at several heights,
+because a knee that stretches has to be quick, and one that is bent bears more. Nothing is left for balance: a walk near
+the limit has no reserve.
 """
 
 from __future__ import annotations
@@ -47,8 +49,14 @@ _BLUR = 0.2
 """Time over which velocities and accelerations are averaged, as a part of the swing: servos do not follow a jump."""
 _OFF = 0.01
 """Largest error of a posture that is reached, as a fraction of the height of the CoM."""
-_LENGTHS = np.geomspace(0.06, 1.3, 15)
-"""Steps that are tried, as fractions of the height of the CoM."""
+_SPEEDS = np.geomspace(0.02, 0.6, 14)
+"""Speeds that are tried, in units of sqrt(g h) with the height h of the CoM."""
+_DURATIONS = (0.7, 1.0, 1.4, 2.0)
+"""Durations of a step that are tried, as fractions of that of the walk."""
+_DOUBLE = 0.08
+"""Part of such a step in double support: the shorter it is, the slower is the swing."""
+_LOWER = (0.0, 0.02, 0.04, 0.06)
+"""Distances by which the CoM is lower than in the posture of the walk, as fractions of its height."""
 _HEIGHTS = np.geomspace(0.02, 0.5, 10)
 """Heights of steps that are tried, as fractions of the height of the CoM."""
 _SLOPES = np.radians([0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0])
@@ -67,6 +75,8 @@ class Gait:
         [m]
     slope : float
         Inclination of the floor, positive: it rises ahead [rad].
+    lower : float
+        Distance by which the CoM is lower than in the posture of the walk [m].
     """
 
     single: float
@@ -74,6 +84,7 @@ class Gait:
     length: float
     height: float
     slope: float = 0.0
+    lower: float = 0.0
 
     @classmethod
     def of(cls, config: Config) -> Gait:
@@ -129,7 +140,7 @@ def step(config: Config, model: RobotModel, gait: Gait) -> Step:
     posture = model.posture(config.standing.posture)
     still = Kinematics(model, posture, Foot.LEFT)
     beside = DQ(Footsteps(config, model, posture).beside(Foot.LEFT))
-    swing, pelvis, height = still.swing, DQ(still.pose(model.pelvis)), float(still.com[2])
+    swing, pelvis, height = still.swing, DQ(still.pose(model.pelvis)), float(still.com[2]) - gait.lower
     center = model.soles[Foot.LEFT].center
     other = beside.transform_point(model.soles[Foot.RIGHT].center)
     t = np.linspace(-0.5, 0.5, _SAMPLES) * gait.duration
@@ -237,13 +248,13 @@ class Choice:
     voltage : float
         [V]; 0 for the servos of the configuration.
     speed : Most
-        [m/s], at the durations of the configuration.
+        [m/s], by the best of the steps that are tried.
     joints : dict of str to Most
         Largest speed of each joint of a leg alone, the others being strong enough [m/s].
     height, slope : Most
         Largest height of a step [m] and slope [rad], at the step length of the configuration.
     push : float
-        Largest push ahead that one longer step catches [N s].
+        Largest push ahead that is caught by steps as long as the servos allow, with the pressure at the toes [N s].
     warm : float
         Largest RMS torque of a joint at the speed of the configuration, as a fraction of its stall torque.
     """
@@ -279,68 +290,81 @@ def choose(
     ConfigError
         If the walk is not a dynamic one.
     """
-    gait, pairs = Gait.of(config), leg_pairs(model)
-    still = Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
+    gait, still = Gait.of(config), Kinematics(model, model.posture(config.standing.posture), Foot.LEFT)
     height = float(still.com[2])
-    plans = {
-        "length": [replace(gait, length=float(part * height)) for part in _LENGTHS],
-        "height": [replace(gait, height=float(part * height)) for part in _HEIGHTS],
-        "slope": [replace(gait, slope=float(angle)) for angle in _SLOPES],
+    ladders = {
+        "speed": [(v, _with_speed(gait, v, height)) for v in (_SPEEDS * math.sqrt(GRAVITY * height)).tolist()],
+        "height": [(x, [replace(gait, height=x)]) for x in (_HEIGHTS * height).tolist()],
+        "slope": [(x, [replace(gait, slope=x)]) for x in _SLOPES.tolist()],
     }
-    ladders: dict[str, list[tuple[Gait, Step]]] = {}
-    for share, (name, gaits) in enumerate(plans.items()):
-        progress(share / len(plans), f"steps of another {name}")
-        ladders[name] = _reached(config, model, gaits)
-    present = step(config, model, gait)
+    reached: list[_Ladder] = []
+    for name, ladder in ladders.items():
+        reached.append([])
+        for value, gaits in ladder:
+            progress((len(reached) - 1 + len(reached[-1]) / len(ladder)) / len(ladders), f"steps of another {name}")
+            if not (found := [(one, motion) for one in gaits if not (motion := step(config, model, one)).off]):
+                break
+            reached[-1].append((value, found))
     rows = [("own", 0.0, own_servos(config, model))]
     for name, kind in types.items():
         rows.append((name, kind.voltage, Servos.of(config, model)))
         rows[-1][2].equip(slice(None), kind, kind.voltage, config.servo.p_gain)
-    return [_choice(model, pairs, ladders, gait, present, height, *row) for row in rows]
+    present = step(config, model, gait)
+    return [_choice(model, gait, present, height, reached, *row) for row in rows]
 
 
-def _reached(config: Config, model: RobotModel, gaits: Sequence[Gait]) -> list[tuple[Gait, Step]]:
-    """Return the steps that the legs reach, up to the first one that they do not."""
-    out = []
-    for gait in gaits:
-        found = step(config, model, gait)
-        if found.off:
-            break
-        out.append((gait, found))
-    return out
+def _with_speed(gait: Gait, speed: float, height: float) -> list[Gait]:
+    """Return the steps that are tried for a speed [m/s]."""
+    durations = [part * gait.duration for part in _DURATIONS]
+    return [
+        Gait((1.0 - _DOUBLE) * duration, _DOUBLE * duration, speed * duration, gait.height, lower=lower * height)
+        for duration in durations
+        for lower in _LOWER
+    ]
+
+
+_Ladder = list[tuple[float, list[tuple[Gait, Step]]]]
+"""Increasing values, each with the steps that have it and that the legs reach."""
 
 
 def _choice(
     model: RobotModel,
-    pairs: list[tuple[int, int]],
-    ladders: dict[str, list[tuple[Gait, Step]]],
     gait: Gait,
     present: Step,
     height: float,
+    ladders: Sequence[_Ladder],
     name: str,
     voltage: float,
     servos: Servos,
 ) -> Choice:
-    def most(ladder: str, value: Callable[[Gait], float]) -> dict[str, Most]:
-        values = [value(g) for g, _ in ladders[ladder]]
-        loads = np.array([largest_loads(servos, motion) for _, motion in ladders[ladder]]).reshape(-1, model.n)
-        names = {model.joint_names[pair[0]]: loads[:, list(pair)].max(axis=1) for pair in pairs}
-        return {joint: _crossing(values, needed.tolist(), joint) for joint, needed in names.items()}
+    pairs = leg_pairs(model)
+    names = [model.joint_names[left] for left, _ in pairs]
 
-    def least(found: dict[str, Most]) -> Most:
-        return min(found.values(), key=lambda most: (most.value, "<>".find(most.sign)))
+    def most(ladder: _Ladder) -> tuple[Most, dict[str, Most]]:
+        """Return the largest value of all joints, and that of each."""
+        values, needed, least = [], [], []
+        for value, steps in ladder:
+            loads = np.array([largest_loads(servos, motion)[pairs].max(axis=1) for _, motion in steps])
+            values.append(value)
+            needed.append(loads[int(np.argmin(loads.max(axis=1)))])
+            least.append(loads.min(axis=0))
+        every = [float(loads.max()) for loads in needed]
+        binds = next((names[int(np.argmax(loads))] for loads in needed if loads.max() > 1.0), "")
+        single = {joint: _crossing(values, [float(x[k]) for x in least], joint) for k, joint in enumerate(names)}
+        return _crossing(values, every, binds), single
 
-    speeds = most("length", lambda g: g.speed)
-    speed = least(speeds)
-    rate = math.sqrt(GRAVITY / height)
-    longer = max(speed.value * gait.duration - gait.length, 0.0)
+    speed, joints = most(ladders[0])
+    # any number of steps ahead catches xi if it is at most the toes plus L / (exp(w T) - 1) ahead of the support
+    rate, toes, caught = math.sqrt(GRAVITY / height), model.soles[Foot.LEFT].length / 2.0, 0.0
+    for part in _DURATIONS:
+        duration = part * gait.duration
+        same = [(v, [one for one in steps if math.isclose(one[0].duration, duration)]) for v, steps in ladders[0]]
+        longest = duration * most([one for one in same if one[1]])[0].value
+        caught = max(caught, max(longest - gait.length, 0.0) / math.expm1(rate * duration))
     legs = [joint for pair in pairs for joint in pair]
     warm = float((np.sqrt(np.mean(present.torque**2, axis=0)) / servos.torque)[legs].max())
-    return Choice(
-        name, voltage, speed, speeds,
-        least(most("height", lambda g: g.height)), least(most("slope", lambda g: g.slope)),
-        model.mass * rate * longer * math.exp(-rate * gait.duration), warm,
-    )  # fmt: skip
+    push = model.mass * rate * (toes + caught)
+    return Choice(name, voltage, speed, joints, most(ladders[1])[0], most(ladders[2])[0], push, warm)
 
 
 def _crossing(values: list[float], loads: list[float], joint: str) -> Most:
