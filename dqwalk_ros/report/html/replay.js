@@ -137,7 +137,7 @@
     draw(t) {
       const gl = this.gl; if (!gl) return;
       const w = this.walk, now = w.state(t), ground = now.ground;
-      if (!this.away) this.away = 2.9 * Math.max(w.height, 0.2);
+      if (!this.away) this.away = 2.2 * Math.max(w.height, 0.2);
       const com = now.com, middle = [com[0], com[1], ground + 0.5 * w.height];
       gl.clearColor(0.985, 0.988, 0.992, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT); this.camera(middle);
       const grid = [], cell = 0.05, cx = Math.round(com[0] / cell), cy = Math.round(com[1] / cell), N = 50;
