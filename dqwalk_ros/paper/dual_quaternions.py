@@ -282,19 +282,14 @@ class DQ:
         The angle phi is in [0, 2 pi]; x and -x, the same pose, have different angles. The axis n of phi = 2 pi is not
         unique and set to i.
         """
-        r = self._h[..., :4]
-        sin = np.linalg.norm(r[..., 1:], axis=-1, keepdims=True)
-        half = np.arctan2(sin, r[..., :1])
-        scale = np.where(sin > _SMALL, half / np.where(sin > _SMALL, sin, 1.0), 1.0)
         h = np.zeros_like(self._h)
-        h[..., 1:4] = scale * r[..., 1:]
-        h[..., 1:2] += np.where((sin <= _SMALL) & (r[..., :1] < 0.0), half, 0.0)
-        h[..., 5:] = 0.5 * self.translation()
+        h[..., 1:4], h[..., 5:] = _half_turn(self._h[..., :4]), 0.5 * self.translation()
         return type(self)(h)
 
     def rotation_vector(self) -> Array:
         """Rotation vector phi n [rad] of the orientation with phi in [0, pi], the same for x and -x; shape (..., 3)."""
-        return 2.0 * type(self)(np.where(self._h[..., :1] < 0.0, -self._h, self._h)).log().vec3()
+        r = self._h[..., :4]
+        return 2.0 * _half_turn(np.where(r[..., :1] < 0.0, -r, r))
 
     def exp(self) -> Self:
         """Exponential of a pure dual quaternion, the inverse of `log`."""
@@ -307,6 +302,15 @@ class DQ:
 
 def _as_dq(value: DQ | float) -> DQ:
     return value if isinstance(value, DQ) else DQ(value)
+
+
+def _half_turn(r: Array) -> Array:
+    """Return half of the rotation vectors, phi n / 2, of unit quaternions (..., 4); shape (..., 3) [rad]; see `log`."""
+    sin = np.linalg.norm(r[..., 1:], axis=-1, keepdims=True)
+    half = np.arctan2(sin, r[..., :1])
+    turn: Array = np.where(sin > _SMALL, half / np.where(sin > _SMALL, sin, 1.0), 1.0) * r[..., 1:]
+    turn[..., :1] += np.where((sin <= _SMALL) & (r[..., :1] < 0.0), half, 0.0)
+    return turn
 
 
 def _left(a: Array) -> Array:
