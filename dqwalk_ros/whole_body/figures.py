@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,14 +12,11 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.report.figures.style import BLUE, DASHED, GREEN, GREY, INK, RED, Drawn, drawing, new_figure
+from dqwalk_ros.report.figures.style import BLUE, DASHED, FOOT, GREEN, GREY, INK, RED, Drawn, drawing, new_figure
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.trace import WholeBodyTrace
 
 __all__ = ["drawn", "reactions", "solver", "walk_from_above"]
-
-
-_SOLE = {Foot.LEFT: ("#dbe7f7", BLUE), Foot.RIGHT: ("#dff3e5", GREEN)}
 
 
 @drawing()
@@ -62,8 +60,7 @@ def walk_from_above(walks: Sequence[WholeBodyTrace]) -> Figure:
         stepping = Stepping.of(walked.config)
         half = np.array([0.5 * s.cop_length, 0.5 * s.cop_width])
         for index, (_, place) in enumerate(walked.footholds()):
-            face, edge = _SOLE[stepping.foot(index)]
-            ax.add_patch(Rectangle(place - half, *(2.0 * half), facecolor=face, edgecolor=edge, linewidth=1.0))
+            ax.add_patch(Rectangle(place - half, *(2.0 * half), **_looks(stepping.foot(index))))
         ax.plot(*walked.target.T[:2], color=RED, linestyle=(0, (1, 1.5)), linewidth=1.6, label="target")
         ax.plot(*walked.target[0, :2], "x", color=RED, markersize=6)
         ax.plot(*walked.hand.T[:2], color=BLUE, linestyle=DASHED, linewidth=1.3, label="hand")
@@ -80,11 +77,14 @@ def walk_from_above(walks: Sequence[WholeBodyTrace]) -> Figure:
         ax.set_title(f"{walked.scenario.name}: {steps} step{'' if steps == 1 else 's'}")
     panels[-1].set_xlabel("x [m]")
     handles = panels[0].get_legend_handles_labels()[0]
-    for foot, (face, edge) in _SOLE.items():
-        label = f"CoP area of the {foot.value} foot"
-        handles.append(Rectangle((0, 0), 1, 1, facecolor=face, edgecolor=edge, label=label))
+    for foot in Foot:
+        handles.append(Rectangle((0, 0), 1, 1, **_looks(foot), label=f"CoP area of the {foot.value} foot"))
     fig.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8.5)
     return fig
+
+
+def _looks(foot: Foot) -> dict[str, Any]:
+    return {"facecolor": FOOT[foot] + "26", "edgecolor": FOOT[foot], "linewidth": 1.0}
 
 
 @drawing()
