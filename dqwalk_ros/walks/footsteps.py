@@ -35,6 +35,8 @@ _ROWS = 18
 """Number of the residuals before those of the posture."""
 _STAIR = 1.5
 """Least height of a stair, relative to ``gait.footstep_tolerance``, up to which soles count as level."""
+_REMEMBERED = 100
+"""Largest number of steps whose landing poses are remembered: a steered walk may take another one each time."""
 
 
 def stair_height(height: float, config: Config) -> float:
@@ -134,6 +136,8 @@ class Footsteps:
         """
         key = (support, round(length, 6), round(side, 6), round(turn, 6))
         if key not in self._known:
+            if len(self._known) == _REMEMBERED:
+                self._known.clear()
             self._known[key] = self.nearest(support, self.wanted(support, length, side, turn)).pose
         return self._known[key]
 

@@ -75,6 +75,18 @@ def test_a_step_to_a_footprint_is_the_stride_that_leads_there(support: Foot) -> 
         assert steps.step_to(support, steps.wanted(support, *step)) == pytest.approx(step, abs=1e-12)
 
 
+def test_steps_are_remembered_but_not_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes several milliseconds, and a steered walk may last for weeks."""
+    steps = StandingWalk(load("poppy"), MODEL).footsteps
+    found = list[np.ndarray]()
+    monkeypatch.setattr(steps, "nearest", lambda foot, x: found.append(x) or SimpleNamespace(pose=x))
+    for k in range(1000):
+        for _ in range(2):
+            assert DQ(steps.step(Foot.LEFT, 1e-5 * k, 0.0, 0.0)).translation()[0] == pytest.approx(1e-5 * k)
+    assert len(found) == 1000
+    assert len(steps._known) <= 100
+
+
 def test_footprints_on_stairs_keep_their_heights() -> None:
     walk = stairs("0.05 0 0 0.025", "0.12 0 0 -0.025", "0.05 0 0 0.005")
     walk.prepare()
