@@ -89,8 +89,11 @@ class Contradictions:
         self._config = config
         self.largest, self.joint = 0.0, -1
         self.forget()
-        zero = np.zeros_like(self._off)  # compiled here, so that the first state is not answered late
-        _integrate(self._off, zero[0], zero[0], zero, zero, np.zeros(2))
+        zero = np.zeros(model.n)
+        for time in (0.0, config.dt):  # compiled here, so that no state is answered late
+            self.judge(State(time, zero), zero)
+        self.forget()
+        self.largest = 0.0
 
     def forgive(self, joints: NDArray[np.intp]) -> None:
         """Clear the sums of some joints."""

@@ -19,6 +19,7 @@ from dqwalk_ros.nodes.fall_watch import Contradictions
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.base import Inertial, upward
+from dqwalk_ros.plants.servo_goals import ServoGoals
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import closed_loop
@@ -287,6 +288,16 @@ def test_what_a_late_plant_has_not_moved_is_not_expected_later(share: float) -> 
     late = [State(t, np.interp(t - delay, times, motion) * u) for t in times[::2]]
     assert [why for one in late if (why := judge.judge(one, u))] == []
     assert judge.largest < 1e-6
+
+
+def test_what_judges_a_state_is_compiled_before_the_first_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second state of a walk was answered seconds late where the cache was empty."""
+    commanded, command = [], ServoGoals.command
+    monkeypatch.setattr(ServoGoals, "command", lambda *given: commanded.append(given) or command(*given))
+    judge = Contradictions(CONFIG, MODEL, lambda: 0.1)
+    assert commanded
+    assert not judge.judge(State(CONFIG.dt, np.ones(MODEL.n)), np.zeros(MODEL.n))  # compared with nothing
+    assert judge.largest == 0.0
 
 
 def test_a_clock_set_back_resets_the_check() -> None:
