@@ -23,7 +23,7 @@ from dqwalk_ros.report.bag.messages import diagnostics_of, faults
 from dqwalk_ros.report.figures import FIGURES
 from dqwalk_ros.report.figures.style import new_figure
 from dqwalk_ros.report.html.page import Subject, _heading
-from dqwalk_ros.report.html.replay import replay_data
+from dqwalk_ros.report.html.replay import _moving, replay_data
 from dqwalk_ros.report.scene import Moments, Scene, tightest
 from dqwalk_ros.report.table import numbers
 
@@ -99,6 +99,13 @@ def test_the_replay_shows_the_view_of_each_state():
             np.testing.assert_allclose(regions[name][row, 7:], region.extent, atol=1e-6)
         np.testing.assert_allclose(polygons[row], view.polygon, atol=1e-5)
         assert data["tight"]["names"][b64decode(data["tight"]["at"])[row]] == tightest(view.gauges).name
+
+
+def test_poses_of_a_replay_can_be_interpolated() -> None:
+    """A unit quaternion and its opposite are the same orientation; the mean of both is none."""
+    x = DQ.from_pose([0.1, 0.2, 0.3], [0.6, 0.8, 0.0, 0.0]).vec8()
+    shown = _moving(np.array([[x], [-x], [-x], [x]]))
+    np.testing.assert_allclose(shown, np.broadcast_to(shown[0], shown.shape), atol=1e-12)
 
 
 def test_the_page_shows_the_origin_of_the_walk_and_of_the_report(path, tmp_path, one_figure):
