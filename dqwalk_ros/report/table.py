@@ -53,9 +53,9 @@ def bounds(report: Mapping[str, Any]) -> list[list[str]]:
     """Return the head and the rows of a table of how close each constraint came to its bounds in the walk."""
     head = [
         "constraint",
-        "least distance\nto its bound",
+        "smallest distance\nto its bound",
         "at\n[s]",
-        "least margin to its\nsampled bound [1/s]",
+        "smallest margin to the\nbound of a period [1/s]",
         "at\n[s]",
     ]
     rows = []

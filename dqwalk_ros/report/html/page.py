@@ -183,7 +183,7 @@ def _margins(subject: Subject) -> str:
     marked = [[bad(cell) if cell.startswith("-") else cell for cell in row] for row in rows]
     note = (
         "<p class='muted'>[m], cylinders (sliding, com_cylinder) [m²], joints [rad]; kept if not negative. "
-        "The sampled bound is what eta allows in one period; far: no row was needed.</p>"
+        "The bound of a period is what eta allows from one state to the next; far: no row was needed.</p>"
     )
     return table([name.replace("\n", " ") for name in head], marked, range(1, len(head))) + note
 
