@@ -112,6 +112,8 @@ def pushes(
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.studies import pushes as study
     from dqwalk_ros.studies.ceiling import PushCeiling
+    from dqwalk_ros.walks.stepping import SteppingWalk
+    from dqwalk_ros.walks.table import walk_type
 
     if bottle:  # on the spot, unless the steps are given
         changes = ("gait.step_length=0", *changes)
@@ -140,10 +142,12 @@ def pushes(
         text = f"{table(found, f'momentum of a bottle of {bottle:g} kg')}\n\n{robocup(found, bottle, made)}"
         figure = pushes_figure(by_moment, f"{model.name}: largest momentum of a bottle of {bottle:g} kg survived [N s]")
     else:
-        where, pendulum = link or model.pelvis, PushCeiling(made, model)
+        where, ceiling = link or model.pelvis, None
+        if issubclass(walk_type(made), SteppingWalk):
+            pendulum = PushCeiling(made, model)
 
-        def ceiling(one: Limit) -> float:
-            return pendulum.of(study.Push(one.moment, one.direction, one.survived, part=part))
+            def ceiling(one: Limit) -> float:
+                return pendulum.of(study.Push(one.moment, one.direction, one.survived, part=part))
 
         text = table(found, f"impulse of a push of {duration:g} s on {where}", study.impulse_scale(made), ceiling)
         figure = pushes_figure(by_moment, f"{model.name}: largest push on {where} survived [N s]")

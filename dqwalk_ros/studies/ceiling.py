@@ -23,6 +23,7 @@ from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.studies.pushes import Push
 from dqwalk_ros.studies.servo_choice import Gait, Most, choose, own_servos
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.stepping import SteppingWalk
@@ -55,12 +56,18 @@ def caught(half: float, first: float, then: float, growth: float, left: float) -
 class PushCeiling:
     """The largest impulses that a pendulum on the soles of a robot catches, with the steps of its walk.
 
-    A standing walk steps as ``gait.recover`` says, from its middle of the sole; a stance takes no step.
+    A standing walk steps as ``gait.recover`` says, from the middle of its sole; a stance takes no step.
+
+    Raises
+    ------
+    ConfigError
+        If the walk has no soles to press on: it is no `SteppingWalk`.
     """
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         walk = make_walk(config, model)
-        assert isinstance(walk, SteppingWalk)
+        if not isinstance(walk, SteppingWalk):
+            raise ConfigError(f"a push has a ceiling for a standing or a dynamic walk, not for {type(walk).__name__}")
         walk.prepare()
         kin, sole = Kinematics(model, walk.posture, Foot.LEFT), model.soles[Foot.LEFT]
         beside = DQ(walk.footsteps.beside(Foot.LEFT)).transform_point(model.soles[Foot.RIGHT].center) - sole.center
@@ -114,11 +121,11 @@ def ceilings(configs: Mapping[str, Config], pushes: Mapping[str, Sequence[Push]]
     out: dict[str, str] = {}
     known: dict[tuple[object, ...], Most] = {}
     for name, config in configs.items():
-        model = load_model(config.robot)
-        if name in pushes:
+        model, kind = load_model(config.robot), walk_type(config)
+        if name in pushes and issubclass(kind, SteppingWalk):
             ceiling = PushCeiling(config, model)
             out[name] = f"{min(ceiling.of(push) for push in pushes[name]):.2f} N s"
-        elif walk_type(config) is DynamicWalk:
+        elif name not in pushes and kind is DynamicWalk:
             of_servos = [getattr(own_servos(config, model), field.name).tobytes() for field in fields(Servos)]
             key = (*of_servos, replace(Gait.of(config), length=0.0), config.robot, str(config.standing.posture))
             if key not in known:

@@ -507,7 +507,8 @@ def test_another_link_is_pushed(tmp_path, monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert "impulse of a push of 0.1 s on chest" in shown
     assert ">= " not in shown
-    assert "0.699" in shown
+    assert "0.699 (0.81)" in shown
+    assert "in brackets: what a pendulum on these soles catches" in shown
     assert cli.main([*command, "--link", "wing"]) == 2
     assert "--link wing: the links of poppy_humanoid are" in capsys.readouterr().err
     assert cli.main([*command, "--link", "chest", "--bottle", "3"]) == 2
