@@ -175,7 +175,7 @@ def _any_up(plain: Skeleton, given: tuple[str, str], forward: str) -> Anatomy:
     raise problem
 
 
-_UPS = tuple(np.array(rows) for rows in ((X, Y, Z), (Z, X, Y), (Y, Z, X), (Z, -X, -Y), (-Y, Z, -X)))
+_UPS = tuple(np.array(rows) for rows in ((X, Y, Z), (Z, X, Y), (Y, Z, X), (Z, -X, -Y), (-Y, Z, -X), (X, -Y, -Z)))
 """Rotations (3, 3) that make an axis of the root link vertical: z first (REP-103), then the others."""
 
 
@@ -326,12 +326,12 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     urdf = skeleton.urdf
     _check_shapes(skeleton, pair)
     one, two = _branches(skeleton, *pair)
+    _check_led(skeleton, one, two)
     _check_joints(skeleton, one, two)
     up = skeleton.pose(urdf.root).rotation_matrix()  # from the root's axes to axes with z up
     yaw, one, two, ahead = _find_forward(skeleton, one, two, forward)
     skeleton = skeleton.turned(yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
-    _check_led(skeleton, legs)
     _check_knees(skeleton, legs)
     left, right = (_leg(skeleton, joints) for joints in legs.values())
     hip, ankle = 0.5 * (left.hip + right.hip), 0.5 * (left.ankle + right.ankle)
@@ -508,10 +508,10 @@ def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str
     return "; ".join(out)
 
 
-def _check_led(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
-    """Raise ModelError if a joint that carries a foot follows another joint of the leg: it would be locked."""
+def _check_led(skeleton: Skeleton, *legs: tuple[str, ...]) -> None:
+    """Raise ModelError if a joint that carries a foot follows another joint of its leg: it would be locked."""
     urdf = skeleton.urdf
-    for foot, joints in legs.items():
+    for joints in legs:
         feet = foot_links(skeleton, joints[-1])
         half = 0.5 * sum(urdf.links[link].inertial.mass for link in feet)
         for joint in urdf.joints.values():
@@ -521,8 +521,8 @@ def _check_led(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
             share = sum(urdf.links[link].inertial.mass for link in carried if link in feet)
             if skeleton.joints[joints[-1]].child in carried or share > half:
                 raise ModelError(
-                    f"'{joint.name}' of the {foot.value} leg mimics '{joint.mimic.joint}': legs whose joints lead each "
-                    "other cannot walk with this package"
+                    f"'{joint.name}' of a leg mimics '{joint.mimic.joint}': legs whose joints lead each other cannot "
+                    "walk with this package"
                 )
 
 

@@ -133,7 +133,7 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
     """Return a file as MuJoCo reads it, without settings of other versions of MuJoCo; and what was left out."""
     import mujoco
 
-    root, repairs = (None if path.suffix.lower() == ".xml" else _with_includes(path, path)), list[str]()
+    root, repairs = (None if path.suffix.lower() == ".xml" else _with_includes(path)), list[str]()
     while True:
         try:
             if root is None:
@@ -144,7 +144,7 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
             unknown, unread = _UNKNOWN.search(text), _NUMBERS.search(text)
             found = unknown or unread
             if root is None and found:
-                root = _with_includes(path, path)
+                root = _with_includes(path)
             named = [] if root is None or not found else [e for e in root.iter(found[2]) if found[1] in e.attrib]
             if unread and (named := [e for e in named if "," in e.attrib[unread[1]]]):
                 for element in named:
@@ -158,13 +158,20 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
             repairs.append(f"<{unknown[2]}> has the attribute '{unknown[1]}' of another version of MuJoCo: left out")
 
 
-def _with_includes(file: pathlib.Path, main: pathlib.Path) -> ElementTree.Element:
-    """Return the root of an MJCF file with the contents of the files that it includes."""
-    root = ElementTree.parse(file).getroot()
+def _with_includes(file: pathlib.Path, *within: pathlib.Path) -> ElementTree.Element:
+    """Return the root of an MJCF file with the contents of the files that it includes; `within` includes it."""
+    main, *_ = *within, file
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise ModelError(f"'{main}' cannot be read: '{file}': {error}") from error
+    if file in within:
+        raise ModelError(f"'{main}' cannot be read: '{file}' includes itself")
     for parent in [*root.iter()]:
         for at, child in reversed([*enumerate(parent)]):
             if child.tag == "include":
-                parent[at : at + 1] = [*_with_includes(main.parent / child.get("file", ""), main)]
+                part = main.parent / child.get("file", "")
+                parent[at : at + 1] = [*_with_includes(part, *within, file)]
     return root
 
 

@@ -205,6 +205,14 @@ def test_the_root_may_be_in_a_leg(root: str) -> None:
     assert (found.leg, found.apart) == pytest.approx((plain.leg, plain.apart), abs=1e-6)
 
 
+def test_z_of_the_root_link_may_be_down() -> None:
+    urdf, plain = Urdf.load(SMALL), anatomy_of(Urdf.load(SMALL))
+    moved(urdf, urdf.root, at(np.zeros(3), np.diag([1.0, -1.0, -1.0])))
+    found = anatomy_of(urdf)
+    assert not urdf.repairs  # such as another root
+    assert (found.legs, found.leg) == (plain.legs, pytest.approx(plain.leg))
+
+
 def test_another_root_is_the_same_robot() -> None:
     urdf, q = Urdf.load(SMALL), np.random.default_rng(0).uniform(-0.4, 0.4, 20)
     kins = []
@@ -439,14 +447,15 @@ def test_a_crank_that_leads_an_ankle_follows_it(tmp_path: Path) -> None:
     assert "'l_crank_joint' follows" in urdf.repairs[-1]
 
 
-def test_a_joint_that_follows_another_of_its_leg_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("led", ["ankle_roll", "knee"])
+def test_a_joint_that_follows_another_of_its_leg_is_named(led: str, tmp_path: Path) -> None:
     mimic = '<mimic joint="l_hip_pitch" multiplier="-1"/>'
-    with pytest.raises(ModelError, match="'l_ankle_roll' of the left leg mimics 'l_hip_pitch'"):
+    with pytest.raises(ModelError, match=f"'l_{led}' of a leg mimics 'l_hip_pitch'"):
         anatomy_of(
             read(
                 tmp_path,
-                (r'(<joint name="l_ankle_roll".*?<limit[^>]*>)', rf"\1{mimic}"),
-                (r'(<joint name="r_ankle_roll".*?<limit[^>]*>)', rf"\1{mimic.replace('l_hip', 'r_hip')}"),
+                (rf'(<joint name="l_{led}".*?<limit[^>]*>)', rf"\1{mimic}"),
+                (rf'(<joint name="r_{led}".*?<limit[^>]*>)', rf"\1{mimic.replace('l_hip', 'r_hip')}"),
             )
         )
 

@@ -127,6 +127,23 @@ def test_what_cannot_walk_is_refused_in_one_sentence(name: str, tmp_path: Path) 
         adopt(edited(tmp_path, change), tmp_path / "out")
 
 
+@pytest.mark.parametrize(
+    ("included", "expected"),
+    [
+        ("robot.mjcf", r"robot\.mjcf' includes itself"),
+        ("bad.xml", r"bad\.xml': not well-formed"),
+        ("none.xml", r"none\.xml': .*No such file"),
+    ],
+)
+def test_what_is_wrong_with_an_included_file_is_said_with_its_name(
+    included: str, expected: str, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.xml").write_text("<mujoco><!-- -- --></mujoco>")
+    path = edited(tmp_path, ("<worldbody>", f'<include file="{included}"/><worldbody>')).rename(tmp_path / "robot.mjcf")
+    with pytest.raises(ModelError, match=expected):
+        load_mjcf(path)
+
+
 def test_a_missing_mesh_of_a_trunk_is_said_and_that_of_a_foot_is_an_error(tmp_path: Path) -> None:
     asset = (r"<worldbody>", '<asset><mesh name="m" file="m.stl"/></asset><worldbody>')
     trunk = (r'<geom type="box" size="0.05 0.06 0.07" pos="0 0 0.08" mass="1.6"/>', r'<geom type="mesh" mesh="m"/>')
