@@ -282,6 +282,7 @@ class Controller(AnsweringNode):
     def _done(self) -> None:
         """Log and publish how the walk ended; called once."""
         self._show_phase()
+        self._end_footsteps()
         if self._mode is Mode.DONE:
             self.get_logger().info(f"the walk is over after {self._ticks} ticks")
         else:
@@ -339,6 +340,7 @@ class Controller(AnsweringNode):
         would_fall = self._mode is Mode.WALKING and self._has_begun and not self._controller.may_hold
         if would_fall and not (self.lockstep or self._stale):
             return self.answer(response, False, "it would fall in mid-step; call ~/pause first, then it stands")
+        self._end_footsteps()
         self._controller.reset()
         self._odometry.restart()
         self._phases.restart()
@@ -373,6 +375,10 @@ class Controller(AnsweringNode):
     def _show_phase(self) -> None:
         if self._label != Mode.WALKING.value:  # no phase is known before the first state
             self._phases.show(self._label)
+
+    def _end_footsteps(self) -> None:
+        if self._footsteps is not None and self._has_begun:
+            self._footsteps.show(ended="the walk is over")
 
     def _begin_phase(self, stamp: int) -> None:
         phase = self._controller.phase

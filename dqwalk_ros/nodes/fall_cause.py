@@ -73,8 +73,8 @@ class FallCause:
         if log.reader is None or log.config is None or log.model is None:
             return None
         commands, states, felt = {}, dict[int, State](), dict[int, Array]()
-        with contextlib.suppress(StateError):
-            for raw in self._commands:
+        for raw in self._commands:
+            with contextlib.suppress(StateError):
                 commands[ros.stamp_of(raw)] = log.reader.command(ros.deserialized(raw, JointState)).velocity
         last = max((stamp for stamp, u in commands.items() if u.any()), default=0)
         first, begun = min(log.begun(0, last), default=0), log.begun(last - round(_REMEMBERED * 1e9), last)

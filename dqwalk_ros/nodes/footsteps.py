@@ -100,17 +100,21 @@ class FootstepInput:
         assert isinstance(walk, SteppingWalk)
         return abs(float((x.translation() - DQ(walk.footsteps.beside(support)).translation())[1]))
 
-    def show(self) -> None:
-        """Publish the number of footsteps done; called at the beginning of each phase."""
+    def show(self, ended: str = "") -> None:
+        """Publish the number of footsteps done; called when a phase begins, and when a walk has `ended`, for what."""
         walk, phase = self._controller.walk, self._controller.phase
         if not self._total or not isinstance(walk, SteppingWalk):
             return
-        done = self._total - walk.placed - (phase.kind is PhaseKind.SINGLE_SUPPORT)
-        if phase.kind is PhaseKind.STANCE and done == self._total:
+        total, done = self._total, walk.taken - (phase.kind is PhaseKind.SINGLE_SUPPORT)
+        dropped = total - done if ended else total - walk.taken - walk.placed
+        if dropped:
+            self._total = 0
+            self._publish_status(f"cancelled: {dropped} footsteps dropped, {ended or 'the feet are put together'}")
+        elif phase.kind is PhaseKind.STANCE and done == total:
             self._total = 0
             self._publish_status(f"done {done}/{done}")
         else:
-            self._publish_status(f"walking {done}/{self._total}")
+            self._publish_status(f"walking {done}/{total}")
 
     def _publish_status(self, text: str) -> None:
         self._node.get_logger().info(f"footsteps: {text}")

@@ -59,6 +59,7 @@ class SteppingWalk(Walk):
             raise ConfigError(f"standing.posture is outside the joint limits: {outside}")
         self.footsteps = Footsteps(config, model, self.posture, self._carried())
         self._planned: deque[Array] = deque()  # remaining commanded footprints, each in the frame of its support sole
+        self._taken = 0
         self._stands_first: Foot | None = None  # support foot of the first commanded footprint
         self._aimed: Array | None = None  # where the last commanded footprint was to be, in its support sole
         self._on_stairs = False
@@ -132,6 +133,7 @@ class SteppingWalk(Walk):
             If a footprint violates a limit; see `Footsteps.planned`, also for the frames of the footprints.
         """
         self._planned, self._aimed = deque(self.footsteps.planned(support, footprints)), None
+        self._taken = 0
         self._stands_first = support
 
     def _next_footprint(self, kin: Kinematics) -> Array:
@@ -141,6 +143,7 @@ class SteppingWalk(Walk):
         the landings do not add up: by up to ``gait.footstep_tolerance`` in this step, and the rest in the next ones.
         """
         footprint, back = DQ(self._planned.popleft()), DQ(1.0)
+        self._taken += 1
         if self._aimed is not None:
             missed = DQ(flat(kin.pose(kin.swing))).conj() * DQ(flat(self._aimed))
             off, most = missed.translation(), self.config.gait.footstep_tolerance
@@ -154,6 +157,11 @@ class SteppingWalk(Walk):
     def placed(self) -> int:
         """Number of remaining commanded footprints."""
         return len(self._planned)
+
+    @property
+    def taken(self) -> int:
+        """Number of the last commanded footprints on which the robot has stepped or steps."""
+        return self._taken
 
     def steer(self, forward: float, left: float, turn: float) -> tuple[float, float, float]:
         """Set the velocity of a steered walk, scaled down if a step would exceed its limits; see `Walk.steer`.

@@ -136,6 +136,9 @@ def test_the_monitor_names_the_cause_of_a_fall(make: Any) -> None:
                 monitor.send(name, msg)
             sent[name] = len(controller.got.get(name, []))
 
+    foreign = state(["a_hand"], [0.0], 1.0)  # no command of this robot hides those after it
+    for raw in {s.callback for s in monitor.node.subscriptions if s.topic_name == "/joint_velocity_commands"}:
+        raw(serialize_message(foreign))
     while (controller.got["phase"][-1:] != [] and controller.node._mode.value == "walking") or not time:
         now = plant.state
         controller.exchange(plant, MODEL, 1.0 + time)

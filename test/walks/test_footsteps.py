@@ -233,6 +233,29 @@ def test_footsteps_in_a_sole_frame_and_cancellation_by_an_empty_path(robot: Kine
     np.testing.assert_allclose(apart.translation(), BESIDE.translation(), atol=5e-3)
 
 
+@pytest.mark.parametrize("how", ["stop", "reset", "fail"])
+def test_footsteps_that_are_not_walked_are_not_called_done(robot: KinematicRobot, how: str) -> None:
+    from std_srvs.srv import Trigger
+
+    controller, ask = robot.node.node, (Trigger.Request(), Trigger.Response())
+    robot.walk(10)
+    frame = MODEL.soles[Foot.LEFT].frame
+    assert robot.send(*[turned(0.02 * k, 0.0) * (BESIDE if k % 2 else DQ(1.0)) for k in range(1, 6)], frame=frame)
+    robot.until("walking 1/5")
+    if how == "stop":
+        assert controller._stop(*ask).success
+    elif how == "reset":
+        assert controller._pause(*ask).success
+        assert controller._reset(*ask).success
+        assert controller._start(*ask).success
+    else:
+        controller._end("a reason")
+    robot.walk(700)
+    assert not any(msg.data.startswith("done") for msg in robot.node.got["footstep_status"])
+    then = "the feet are put together" if how == "stop" else "the walk is over"
+    assert robot.node.got["footstep_status"][-1].data == f"cancelled: 4 footsteps dropped, {then}"
+
+
 def test_the_table_requests_round_steps(capsys: pytest.CaptureFixture[str]) -> None:
     cli.main(["footsteps"])
     asked = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith(" ")]
