@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -138,8 +139,8 @@ def adopt(
         print(f"wrote {', '.join(map(str, files))}; look at robot.png first")
     page = _page(found, port) if view else None
     unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]
-    if unsure and not yes:
-        click.confirm("the forward direction is a guess (see the table); continue?", abort=True)
+    if unsure and not yes and not _confirmed("the forward direction is a guess (see the table); continue?"):
+        raise ConfigError("the forward direction is a guess that was not confirmed: give --forward, or --yes takes it")
     for finding in found.findings:
         print(f"check: {finding}")
     code = (1 if found.findings else 0) if no_walk else _walk(found, given, quiet=quiet)
@@ -159,6 +160,16 @@ def _kinds(repairs: Sequence[str]) -> list[str]:
     for repair in repairs:
         kinds.setdefault(_PARTICULAR.sub("", repair), []).append(repair)
     return [same[0] + (f" ({len(same) - 1} more like this)" if len(same) > 1 else "") for same in kinds.values()]
+
+
+def _confirmed(question: str) -> bool:
+    """Return the answer of the user; no where the standard input ends without one, as in a script."""
+    try:
+        return click.confirm(question)
+    except click.Abort:
+        if sys.stdin.isatty():
+            raise  # Ctrl-C
+        return False
 
 
 def _page(found: Adoption, port: int | None) -> Page:

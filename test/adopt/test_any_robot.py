@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import zipfile
@@ -675,7 +676,9 @@ def test_macros_that_an_old_xacro_left_in_its_result_are_no_part_of_the_robot(tm
     assert Urdf.load(tmp_path / "robot.urdf").joints.keys() == Urdf.load(SMALL).joints.keys()
 
 
-def test_a_robot_without_front_and_back_walks_along_an_axis_of_its_root(tmp_path: Path) -> None:
+def test_a_robot_without_front_and_back_walks_along_an_axis_of_its_root_once_that_is_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     urdf = Urdf.load(SMALL)
     names = {name: f"j{k}" for k, name in enumerate(urdf.joints)} | {name: f"b{k}" for k, name in enumerate(urdf.links)}
     centred = (
@@ -688,6 +691,10 @@ def test_a_robot_without_front_and_back_walks_along_an_axis_of_its_root(tmp_path
     ahead = next(entry for entry in anatomy_of(urdf).evidence if entry.what == "ahead")
     assert ahead.confidence == "guess"
     assert "give --forward" in ahead.source
+    monkeypatch.setattr("sys.stdin", io.StringIO())  # of a script
+    command = ["adopt", str(written(tmp_path, urdf)), "--out", str(tmp_path / "out"), "--no-walk", "--quiet"]
+    assert cli.main(command) == 2
+    assert "not confirmed: give --forward" in capsys.readouterr().err
 
 
 def test_the_waist_of_poppy_moves_its_com_over_a_sole() -> None:
