@@ -92,6 +92,7 @@ class Viewer(WalkNode):
         self._twist_type = TwistStamped if self.config.node.stamped_cmd_vel else Twist
         self._twists = self.create_publisher(self._twist_type, "cmd_vel", 1)
         self._velocity = np.zeros(3)  # chosen on the page: ahead, left [m/s], turn [rad/s]
+        self._steered = self._velocity  # published last
         self.create_subscription(PoseStamped, "true_base_pose", self._on_simulated, ros.best_effort(1))
         self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
         self.listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -179,12 +180,14 @@ class Viewer(WalkNode):
         self._velocity = velocity
 
     def _steer(self) -> None:
-        """Publish the chosen velocity; none at rest, where another node may steer."""
-        moved, self._velocity = self._velocity, self._velocity if self.page.is_watched else np.zeros(3)
-        if moved.any():
+        """Publish the chosen velocity; none at rest, where another node may steer, but at first that it stops."""
+        if not self.page.is_watched:
+            self._velocity = np.zeros(3)
+        moved, self._steered = self._steered, self._velocity
+        if moved.any() or self._steered.any():
             msg = self._twist_type()
             twist = msg if isinstance(msg, Twist) else msg.twist
-            twist.linear.x, twist.linear.y, twist.angular.z = self._velocity.tolist()
+            twist.linear.x, twist.linear.y, twist.angular.z = self._steered.tolist()
             self._twists.publish(msg)
 
     def _on_push(self, impulse: Array) -> None:

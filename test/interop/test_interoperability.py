@@ -634,9 +634,13 @@ def test_the_page_steers_a_simulated_robot_until_it_is_closed(make: Any, monkeyp
     viewer.node._steer()
     viewer.node._on_steer(np.array([0.1, 0.0, 0.2]))
     viewer.node._steer()
+    viewer.node._on_steer(np.zeros(3))  # "stop" takes effect at once, not after gait.cmd_vel_timeout
+    viewer.node._steer()
+    viewer.node._on_steer(np.array([0.1, 0.0, 0.2]))
+    viewer.node._steer()
     monkeypatch.setattr(type(page), "is_watched", False)
     viewer.node._steer()
     viewer.node._steer()
     viewer.node.close()
     sent = [(msg.linear.x, msg.linear.y, msg.angular.z) for msg in viewer.got["cmd_vel"]]
-    assert sent == [(0.1, 0.0, 0.2), (0.0, 0.0, 0.0)]  # at rest another node may steer
+    assert sent == 2 * [(0.1, 0.0, 0.2), (0.0, 0.0, 0.0)]  # at rest another node may steer
