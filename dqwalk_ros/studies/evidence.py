@@ -32,7 +32,7 @@ from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError, listed
 from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.stepping import SteppingWalk
-from dqwalk_ros.walks.table import make_controller, walk_type
+from dqwalk_ros.walks.table import make_controller, refuse_endless, walk_type
 
 __all__ = ["Row", "WalkOutcome", "bounds", "ceilings", "collect", "points", "read"]
 
@@ -108,6 +108,8 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         made = made.updated(({"gait.steps": 0} if self.steered else {}) | self.set, source=self.name)
         if self.steered and walk_type(made).phases(made):
             raise ConfigError(f"{self.name}: cmd_vel and course steer a standing or dynamic walk with gait.steps: 0")
+        if not (self.steered or self.push):
+            refuse_endless(made)
         if self.cmd_vel and self.course:
             raise ConfigError(f"{self.name}: a walk follows either cmd_vel or a random course")
         if self.hands and not (made.arms.left_hand or made.arms.right_hand):

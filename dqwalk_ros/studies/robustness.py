@@ -26,7 +26,7 @@ from dqwalk_ros.studies.plan import MAX_WALKS, digest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
-from dqwalk_ros.walks.table import make_controller
+from dqwalk_ros.walks.table import make_controller, refuse_endless
 
 __all__ = ["Cell", "CellOutcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
 
@@ -130,6 +130,7 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> CellOutcome:
     try:
         varied = config.updated(parameters)
         varied = varied.updated({**assumed(varied, values.get(LATENCY_ERROR, 0.0)), **parameters})
+        refuse_endless(varied)
         model = load_model(varied.robot)
         controller, plant = make_controller(varied, model), make_plant(varied.plant.name or "physics", varied, model)
         servos, before = Servos.of(varied, model), None
@@ -167,6 +168,7 @@ def walk_all(
 
     With `force` earlier results are discarded; other options and errors are those of `runner.run`.
     """
+    refuse_endless(config)
     make_controller(config, load_model(config.robot))  # a wrong name is an error before the first walk
     store = Store(out / "cells.jsonl", digest(config, list(combinations)), combinations, CellOutcome, force=force)
     done = run(functools.partial(walk, config), store, **options)

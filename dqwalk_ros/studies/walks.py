@@ -23,7 +23,7 @@ from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, StudyError
 from dqwalk_ros.support.output import written
-from dqwalk_ros.walks.table import make_controller, make_walk, walk_type
+from dqwalk_ros.walks.table import make_controller, make_walk, refuse_endless
 
 __all__ = ["StudyOutcome", "set_up", "walk", "walk_all"]
 
@@ -108,8 +108,7 @@ def set_up(config: Config, point: Mapping[str, Any]) -> tuple[Config, RobotModel
         If there is no such joint or link, or the walk has no end.
     """
     config = config.updated({name: value for name, value in point.items() if not is_own(name)})
-    if not walk_type(config).phases(config):
-        raise ConfigError("the walk has no end, because it is steered: set gait.steps to a number of steps")
+    refuse_endless(config)
     model = _with_masses(load_model(config.robot), point)
     q0 = make_walk(config, model).posture.copy()
     for name, value in point.items():

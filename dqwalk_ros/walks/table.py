@@ -14,7 +14,7 @@ from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.standing.walk import StandingWalk
 
-__all__ = ["WALKS", "make_controller", "make_walk", "refuse_foreign_code", "walk_type"]
+__all__ = ["WALKS", "make_controller", "make_walk", "refuse_endless", "refuse_foreign_code", "walk_type"]
 
 WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk, "dynamic": DynamicWalk}
 """Class of the walk of each ``gait.style``."""
@@ -42,6 +42,18 @@ def walk_type(config: Config) -> type[Walk]:
     if not (isinstance(found, type) and issubclass(found, Walk)):
         raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.paper.walk.Walk")
     return found
+
+
+def refuse_endless(config: Config) -> None:
+    """Check a walk that is simulated until its end.
+
+    Raises
+    ------
+    ConfigError
+        If it has none.
+    """
+    if not walk_type(config).phases(config):
+        raise ConfigError("the walk has no end, because it is steered: set gait.steps to a number of steps")
 
 
 def refuse_foreign_code(config: Config, trusted: str = "") -> None:

@@ -218,6 +218,7 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["simulate", "--set", "robot.right_sole=l_sole"], "no joint moves the soles"),
         (["simulate", "--set", "gait.walk=dqwalk_ros.paper.walk"], "'dqwalk_ros.paper.walk'; it must be MODULE:CLASS"),
         (["reach", "--config", "paper"], "'paper' is not a configuration of the whole-body controller"),
+        (["robustness", "--steps", "0"], "the walk has no end"),
         (["study", str(ROOT / "config/paper.yaml")], "paper.yaml: this is a configuration, not a study"),
     ],
 )

@@ -108,6 +108,7 @@ def test_an_unknown_set_and_an_unknown_file_are_named(tmp_path: Path, capsys: py
         ('{name: "a\\e[2J", config: poppy}', "name"),
         ("{name: '', config: poppy}", "name"),
         ("{name: a, config: poppy, push: .inf}", "push"),
+        ("{name: a, config: poppy, set: {gait.steps: 0}}", "the walk has no end"),
     ):
         file.write_text(f"rows: [{rows}]\n")
         with pytest.raises(ConfigError, match=message):

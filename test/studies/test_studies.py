@@ -348,6 +348,7 @@ def test_robustness_samples_cells_and_counts_failures():
 def test_a_robot_that_does_not_exist_is_an_error_before_the_first_cell(tmp_path):
     with pytest.raises(ModelError, match=r"nowhere\.urdf"):
         robustness.walk_all(POPPY.updated({"robot.urdf": "nowhere.urdf"}), [{}], tmp_path / "out")
+    assert "the walk has no end" in robustness.walk(POPPY, 0, {"gait.steps": 0}).reason
     assert not (tmp_path / "out").exists()
 
 
