@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pathlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,6 +17,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.engine import HELD, Box, EnginePlant, floor_of, gravity_of, pose_of, slope_of, steps_of
 from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.packages import find_package_file
 from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
@@ -299,6 +301,8 @@ def own_contacts(model: RobotModel, q: Array) -> Counter[str]:
     try:
         spec = mujoco.MjSpec.from_string(model.urdf)
         spec.compiler.fusestatic = False
+        for mesh in spec.meshes:  # MuJoCo reads paths, and no file:// of an adopted robot
+            mesh.file = str(find_package_file(mesh.file, pathlib.Path()) or mesh.file)
         mj = spec.compile()
     except ValueError as error:
         raise PlantError(f"MuJoCo refuses the shapes of the robot: {error}") from error

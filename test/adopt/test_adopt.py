@@ -24,6 +24,7 @@ from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.plants.mujoco import own_contacts
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.robot.shapes import Shapes
@@ -339,13 +340,15 @@ def test_meshes_in_folders_with_special_characters_are_found(tmp_path: Path) -> 
     assert "%20" in (found.folder / "robot.urdf").read_text()
     high = found.config.updated({"robot.left_sole_xyz": [0.0, 0.0, 0.035], "robot.right_sole_xyz": [0.0, 0.0, 0.035]})
     assert "reaches 35 mm below its sole" in str(check(high, load_model(high.robot))[0])
+    assert not own_contacts(found.model, np.zeros((1, found.model.n)))
     (folder / "foot.stl").unlink()
     assert "no shape of the left foot can be read" in str(check(found.config, found.model)[0])
 
 
 def test_a_configuration_is_replaced_with_force_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    command = ["adopt", str(SMALL), "--out", str(out), "--yes", "--no-walk", "--quiet"]
+    armless = edited(tmp_path, SMALL, (r'(name="._(?:shoulder|elbow)" type=)"revolute"', r'\1"fixed"'))
+    command = ["adopt", str(armless), "--out", str(out), "--yes", "--no-walk", "--quiet"]
     out.mkdir()
     (out / "robot.yaml").write_text("edited")
     assert cli.main(command) == 2
@@ -355,8 +358,10 @@ def test_a_configuration_is_replaced_with_force_only(tmp_path: Path, capsys: pyt
     assert "reading the robot" not in error  # nothing was computed
     assert [file.name for file in out.iterdir()] == ["robot.yaml"]
     assert (out / "robot.yaml").read_text() == "edited"
+    (out / "whole_body.yaml").write_text("of another robot")
     assert cli.main([*command, "--force"]) == 0
     assert load(out / "robot.yaml").robot.urdf
+    assert not (out / "whole_body.yaml").exists()
 
 
 def test_adopt_refuses_a_file_as_its_folder_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
