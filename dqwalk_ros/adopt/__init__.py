@@ -211,6 +211,8 @@ def _adopted(
     write_yaml(folder / "paper.yaml", paper, f"{about_it}: the walk of Urban & Adorno.", overwrite=overwrite)
     if whole_body:
         write_yaml(folder / "whole_body.yaml", whole_body, f"{about_it}: Sherikov et al.", overwrite=overwrite)
+    else:
+        (folder / "whole_body.yaml").unlink(missing_ok=True)  # of a robot that was adopted here before
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
     evidence = (*anatomy.evidence, *_mass_evidence(numbers), *driven, *_missing_evidence(shapes))
