@@ -112,6 +112,8 @@ def checked(specs: Mapping[str, Spec], name: str, value: Any) -> Value:
     if name not in specs:
         raise ConfigError(f"unknown parameter {name[:80]!r}{_suggestion(name, specs)}")
     spec = specs[name]
+    if hasattr(value, "tolist"):  # a number or an array of numpy
+        value = value.tolist()
     if spec.type is tuple and isinstance(value, list | tuple):
         value = [item for item in value if item != ""]  # ROS has no empty list: it is written as one empty text
     try:

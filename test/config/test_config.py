@@ -162,6 +162,16 @@ def test_integers_and_exponents_are_accepted_as_floats():
         assert isinstance(value, float)
 
 
+def test_numbers_and_arrays_of_numpy_are_accepted():
+    """As in a sweep of a script over np.linspace; they are written as other numbers."""
+    given = {"gait.step_length": np.float64(0.05), "gait.steps": np.int64(3), "dynamic.catch": np.bool_(False)}
+    changed = load("poppy_dynamic").updated({**given, "robot.payload": np.array(["l_hand=0.1"])})
+    assert (changed.gait.step_length, changed.gait.steps, changed.dynamic.catch) == (0.05, 3, False)
+    assert type(changed.gait.step_length) is float
+    with pytest.raises(ConfigError, match="must be a whole number"):
+        load("poppy").updated({"gait.steps": np.float64(2.5)})
+
+
 def test_unspecified_parameters_keep_their_default():
     assert from_yaml(text("dt: 0.01")) == dataclasses.replace(Config(), dt=0.01)
 
