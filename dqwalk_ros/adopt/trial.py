@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -18,7 +19,7 @@ from dqwalk_ros.report.binding import Load, most_loaded
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import analyse, pelvis_in_odom
 from dqwalk_ros.report.verdict import violations
-from dqwalk_ros.robot.model import RobotModel, load_model
+from dqwalk_ros.robot.model import RobotModel, find_urdf, load_model
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.servo_choice import Gait, largest_loads, own_servos, step
@@ -36,8 +37,6 @@ _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
 _EVERY = 10
 """Number of states of which one is searched for links that touch each other."""
-_BOTH = {(True, False), (False, True)}
-"""A link of the left and one of the right leg."""
 _YIELDS, _LEADS = 0.4, 0.5
 """Factors of ``servo.window`` and ``servo.assumed_lead`` that may cure a dynamic walk."""
 
@@ -205,27 +204,32 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
         return Trial(plant, False, _distance(trace), planned, "; ".join(trace.notes), causes=tuple(causes(series)))
     found = violations(series)
     note = f"{found[0].message}" + (f", and {len(found) - 1} more" if len(found) > 1 else "") if found else ""
-    touching = legs_touching(model, trace.q[::_EVERY]) if plant == "physics" else ""
+    touching = legs_touching(model, trace.q[::_EVERY], find_urdf(config.robot.urdf)) if plant == "physics" else ""
     return Trial(plant, True, _distance(trace), planned, note, len(found), load=most_loaded(trace), touching=touching)
 
 
-def legs_touching(model: RobotModel, q: Array) -> str:
-    """Return which links of the legs meet in the states q (N, n), and in what part of them; empty if none does."""
+def legs_touching(model: RobotModel, q: Array, near: str | os.PathLike[str] = ".") -> str:
+    """Return which link meets a leg in the states q (N, n), and in what part of them; empty if none does.
+
+    A link of the same leg does not count. `near` is the path of the robot description.
+    """
     from dqwalk_ros.plants.mujoco import own_contacts  # needs the engine
 
     left, right = (set(model.chain(model.frames[model.soles[foot].frame].body)) for foot in Foot)
-    of = {name: (frame.body in left - right, frame.body in right - left) for name, frame in model.frames.items()}
+    leg = {name: (frame.body in left - right) - (frame.body in right - left) for name, frame in model.frames.items()}
     try:
-        met = own_contacts(model, q)
-    except PlantError:
-        return ""
-    pairs = {pair: count for pair, count in met.items() if {of[link] for link in pair.split(", ")} == _BOTH}
+        met = own_contacts(model, q, near)
+    except PlantError as error:
+        return f"whether its links meet is not known ({error})"
+    pairs = {pair: count for pair, count in met.items() if len({leg[link] for link in pair.split(", ")}) > 1}
     if not pairs:
         return ""
     worst = min(pairs, key=lambda pair: (-pairs[pair], pair))
+    legs = 0 not in {leg[link] for link in worst.split(", ")}
     return (
-        f"the legs meet ({worst.replace(', ', ' and ')} in {100.0 * pairs[worst] / len(q):.0f} % of the states), which "
-        "is not simulated: collision.pairs keeps them apart"
+        f"{'the legs meet' if legs else 'a leg meets another link'} ({worst.replace(', ', ' and ')} in "
+        f"{100.0 * pairs[worst] / len(q):.0f} % of the states), which is not simulated: "
+        + ("collision.pairs keeps them apart" if legs else "robot.lock holds an arm further out, as l_shoulder_x=0.25")
     )
 
 

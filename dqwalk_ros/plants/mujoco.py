@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -17,11 +18,12 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.engine import HELD, Box, EnginePlant, floor_of, gravity_of, pose_of, slope_of, steps_of
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.packages import find_package_file
 from dqwalk_ros.robot.servos import Servos
+from dqwalk_ros.robot.shapes import make_convex
+from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.support.errors import ModelError, PlantError
 
 __all__ = ["PhysicsPlant", "build", "held_torques", "own_contacts", "robot_spec", "set_timestep"]
 
@@ -287,24 +289,25 @@ def _set_contact(mj: Any, body: int, stiffness: float, relaxation: float) -> Non
     mj.geom_solref[:] = [-k * d**2, -b * d]  # MuJoCo divides them by d^2 and d
 
 
-def own_contacts(model: RobotModel, q: Array) -> Counter[str]:
+def own_contacts(model: RobotModel, q: Array, near: str | os.PathLike[str] = ".") -> Counter[str]:
     """Return in how many of the states q (N, n) links of the robot touch each other, by pairs as ``l_foot, r_foot``.
 
-    The shapes are the collision shapes of the URDF. Links that a joint or joints at one place connect, such as those of
-    a hip, and pairs that touch in the first state are not counted.
+    The shapes are the collision shapes of the URDF, whose path is `near`; those of meshes are their convex hulls. Links
+    that a joint or joints at one place connect, such as those of a hip, and pairs that touch in the first state are not
+    counted.
 
     Raises
     ------
     PlantError
-        If MuJoCo cannot read the shapes.
+        If a mesh is not available, or MuJoCo cannot read the shapes.
     """
     try:
-        spec = mujoco.MjSpec.from_string(model.urdf)
-        spec.compiler.fusestatic = False
-        for mesh in spec.meshes:  # MuJoCo reads paths, and no file:// of an adopted robot
-            mesh.file = str(find_package_file(mesh.file, pathlib.Path()) or mesh.file)
+        urdf = Urdf(model.urdf, model.name)
+        files = make_convex(urdf, pathlib.Path(near))
+        spec = mujoco.MjSpec.from_string(urdf.text(), assets=files)
+        spec.compiler.fusestatic, spec.compiler.balanceinertia = False, True  # nothing moves
         mj = spec.compile()
-    except ValueError as error:
+    except (ValueError, ModelError) as error:
         raise PlantError(f"MuJoCo refuses the shapes of the robot: {error}") from error
     data, found = mujoco.MjData(mj), Counter[str]()
     at = [int(mj.joint(name).qposadr[0]) for name in model.joint_names]

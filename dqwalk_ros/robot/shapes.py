@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from dqwalk_ros.robot.packages import find_package_file, is_pointer
 from dqwalk_ros.robot.urdf import Urdf, pose_of
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ModelError, listed
 
 if TYPE_CHECKING:
     from yourdfpy import Collision, Link, Visual
 
-__all__ = ["PRIMITIVES", "Shapes", "Surface", "capsule_around", "kind_and_size", "meshes_of", "rgba_of"]
+__all__ = ["PRIMITIVES", "Shapes", "Surface", "capsule_around", "kind_and_size", "make_convex", "meshes_of", "rgba_of"]
 
 
 _KINDS = ("collisions", "visuals")
@@ -266,6 +267,46 @@ def meshes_of(urdf: Urdf, near: pathlib.Path) -> list[tuple[str, Surface]]:
         cell *= 2.0
         found = [(name, _simplified(surface, cell)) for name, surface in full]
     return found
+
+
+def make_convex(urdf: Urdf, near: pathlib.Path) -> dict[str, bytes]:
+    """Replace the collision meshes of a robot by their convex hulls and remove its visual shapes.
+
+    Parameters
+    ----------
+    urdf : Urdf
+        Is changed.
+    near : path
+        Path of the robot description.
+
+    Returns
+    -------
+    dict of str to bytes
+        The hulls by the names that the description has now, as STL files.
+
+    Raises
+    ------
+    ModelError
+        If a mesh is not available.
+    """
+    import trimesh
+
+    shapes, files = Shapes(urdf, near), dict[str, bytes]()
+    for name, link in urdf.links.items():
+        link.visuals.clear()
+        for shape in link.collisions:
+            if (mesh := shape.geometry.mesh) is None:
+                continue
+            if (surface := shapes.surface(link, shape)) is None:
+                raise ModelError(f"a mesh of {name} is not available: {listed(shapes.missing)}")
+            file = f"{len(files)}.stl"
+            try:
+                hull = trimesh.Trimesh(surface.vertices, surface.faces, process=False).convex_hull
+            except Exception as error:  # a mesh without volume; Qhull has its own exceptions
+                raise ModelError(f"the mesh '{surface.what}' of {name} has no convex hull") from error
+            files[file] = hull.export(file_type="stl")
+            shape.origin, mesh.filename, mesh.scale = None, file, None
+    return files
 
 
 def _simplified(surface: Surface, cell: float) -> Surface:

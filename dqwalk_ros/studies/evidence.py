@@ -22,7 +22,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.base import Plant
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.ground import shortfall
-from dqwalk_ros.robot.model import RobotModel, load_model
+from dqwalk_ros.robot.model import RobotModel, find_urdf, load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies import ceiling
 from dqwalk_ros.studies.plan import digest
@@ -242,7 +242,7 @@ def _evaluate(
         from dqwalk_ros.plants.mujoco import own_contacts  # needs the engine
 
         with contextlib.suppress(PlantError):  # shapes that MuJoCo cannot read, such as some meshes
-            touching = own_contacts(model, trace.q).total()
+            touching = own_contacts(model, trace.q, find_urdf(config.robot.urdf)).total()
     return WalkOutcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed, touching)
 
 

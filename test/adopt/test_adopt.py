@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import shutil
@@ -26,7 +27,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import own_contacts
 from dqwalk_ros.plants.table import make_plant
-from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.robot.model import find_urdf, load_model
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.simulation import simulate
@@ -386,3 +387,33 @@ def test_a_trial_in_which_the_legs_meet_says_so() -> None:
     said = legs_touching(model, np.array([standing, crossed] * 4))
     assert said.startswith("the legs meet (l_foot and r_foot in 50 % of the states)"), said
     assert not legs_touching(model, np.array([standing, arm]))
+    straight = load_model(
+        load("poppy").updated({"robot.lock": ["head_*", "?_shoulder_*", "?_arm_*", "?_elbow_*"]}).robot
+    )
+    aside = straight.posture([*load("poppy").standing.posture, "l_hip_x=0.3"])
+    said = legs_touching(straight, np.array([standing, aside]))
+    assert said.startswith("a leg meets another link (l_forearm and l_thigh in 50 % of the states)"), said
+    assert "robot.lock" in said
+
+
+def test_links_with_meshes_meet_by_their_convex_hulls(tmp_path: Path) -> None:
+    """Also of a package, scaled, in a format that MuJoCo does not read; without the files nobody knows."""
+    config, shape = load("poppy"), '<mesh filename="package://shapes/{}.ply" scale="0.001 0.001 0.001"/>'
+    text = find_urdf(config.robot.urdf).read_text()
+    (tmp_path / "shapes").mkdir()
+    for number, size in enumerate(sizes := re.findall(r'<box size="([^"]*)"\s*/>', text)):
+        box = trimesh.creation.box([1e3 * float(side) for side in size.split()])
+        box.export(tmp_path / "shapes" / f"{number}.ply")
+    numbers = itertools.count()
+    text = re.sub(r'<box size="[^"]*"\s*/>', lambda _: shape.format(next(numbers)), text)
+    assert next(numbers) == len(sizes) > 5
+    (file := tmp_path / "poppy.urdf").write_text(text)
+    model = load_model(config.robot)
+    sole = {f"robot.sole_{side}": getattr(model.soles[Foot.LEFT], side) for side in ("length", "width")}
+    meshed = load_model(config.updated({"robot.urdf": str(file), **sole}).robot)
+    q = np.array([model.posture(config.standing.posture), *np.random.default_rng(1).uniform(-0.6, 0.6, (40, model.n))])
+    expected = own_contacts(model, q)
+    assert expected
+    assert own_contacts(meshed, q, file) == expected
+    shutil.rmtree(tmp_path / "shapes")
+    assert "not available" in legs_touching(meshed, q, file)

@@ -146,8 +146,8 @@ def test_a_row_with_cmd_vel_is_steered_and_ends_after_its_course(monkeypatch: py
     """Shapes that MuJoCo cannot read do not spoil the walk."""
     mesh = '<collision><geometry><mesh filename="none.stl"/></geometry></collision></link>'
 
-    def unreadable(model: RobotModel, q: np.ndarray) -> Counter[str]:
-        return own_contacts(replace(model, urdf=model.urdf.replace("</link>", mesh)), q)
+    def unreadable(model: RobotModel, q: np.ndarray, near: Path) -> Counter[str]:
+        return own_contacts(replace(model, urdf=model.urdf.replace("</link>", mesh)), q, near)
 
     own_contacts = mujoco.own_contacts
     monkeypatch.setattr(mujoco, "own_contacts", unreadable)
