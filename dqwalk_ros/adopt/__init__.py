@@ -18,7 +18,7 @@ import numpy as np
 
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
-from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
+from dqwalk_ros.adopt.doubts import check_density, check_names, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
 from dqwalk_ros.adopt.parameters import (
     LONGEST,
@@ -179,6 +179,7 @@ def _adopted(
     progress: Callable[[float, str], None],
 ) -> Adoption:
     """Adopt a robot description that was read; see `adopt`."""
+    check_names(urdf)
     repair_degrees(urdf)
     use_led_joints(urdf)
     anatomy = find_anatomy(urdf, shapes, **sides)

@@ -16,9 +16,11 @@ from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["check_density", "check_sizes", "repair_degrees", "repair_inertias", "use_led_joints"]
+__all__ = ["check_density", "check_names", "check_sizes", "repair_degrees", "repair_inertias", "use_led_joints"]
 
 
+_MEANT = set("=*?[")
+"""Characters that have a meaning where a parameter names joints."""
 _LARGER, _SMALLER = 8.0, 0.02
 """Size of the largest mesh divided by the span of the joints, above and below which one of both has another unit."""
 _HEAVIEST, _LIGHTEST, _USUAL = 5000.0, 1.0, 80.0
@@ -35,6 +37,16 @@ _GUESSED = 0.3
 """Radius of gyration assumed for a link with shapes, as a multiple of this distance."""
 _SMALLEST = 0.01
 """Least distance of the farthest corner of a link from its CoM [m]."""
+
+
+def check_names(urdf: Urdf) -> None:
+    """Raise ModelError if a joint has a name that no parameter can name, such as an entry of ``robot.lock``."""
+    for joint in urdf.joints.values():
+        if moves(joint) and (found := set(joint.name) & _MEANT):
+            raise ModelError(
+                f"joint '{joint.name}' cannot be named in a configuration, in which {min(found)!r} has a meaning in "
+                "names of joints (JOINT=RADIANS, and patterns): rename it, in the driver of the robot as well"
+            )
 
 
 def repair_degrees(urdf: Urdf) -> None:

@@ -461,6 +461,15 @@ def test_a_joint_that_follows_another_of_its_leg_is_named(led: str, tmp_path: Pa
         )
 
 
+@pytest.mark.parametrize(("name", "sign"), [("l=knee", "="), ("neck[1]", r"\[")])
+def test_a_joint_that_no_parameter_can_name_is_named(name: str, sign: str, tmp_path: Path) -> None:
+    old = "l_knee" if "knee" in name else "neck"
+    path = edited(tmp_path, SMALL, (f'<joint name="{old}"', f'<joint name="{name}"'))
+    with pytest.raises(ModelError, match=rf"joint '{re.escape(name)}' cannot be named .* '{sign}' has a meaning"):
+        adopt(path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def narrowed(tmp_path: Path, **limits: float) -> Path:
     """Write the robot with symmetric limits of some joints of both legs [rad]."""
     changes = [
