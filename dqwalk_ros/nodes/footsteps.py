@@ -105,7 +105,8 @@ class FootstepInput:
         walk, phase = self._controller.walk, self._controller.phase
         if not self._total or not isinstance(walk, SteppingWalk):
             return
-        total, done = self._total, walk.taken - (phase.kind is PhaseKind.SINGLE_SUPPORT)
+        # a step that recovers from a push, maybe before the first footstep, is none of them
+        total, done = self._total, max(walk.taken - (phase.kind is PhaseKind.SINGLE_SUPPORT), 0)
         dropped = total - done if ended else total - walk.taken - walk.placed
         if dropped:
             self._total = 0

@@ -234,13 +234,20 @@ def test_footsteps_in_a_sole_frame_and_cancellation_by_an_empty_path(robot: Kine
 
 
 @pytest.mark.parametrize("how", ["stop", "reset", "fail"])
-def test_footsteps_that_are_not_walked_are_not_called_done(robot: KinematicRobot, how: str) -> None:
+def test_footsteps_that_are_not_walked_are_not_called_done(
+    robot: KinematicRobot, how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from std_srvs.srv import Trigger
 
     controller, ask = robot.node.node, (Trigger.Request(), Trigger.Response())
     robot.walk(10)
     frame = MODEL.soles[Foot.LEFT].frame
     assert robot.send(*[turned(0.02 * k, 0.0) * (BESIDE if k % 2 else DQ(1.0)) for k in range(1, 6)], frame=frame)
+    controller._footsteps.show()
+    with monkeypatch.context() as context:  # a step that recovers from a push
+        context.setattr(type(controller._controller), "phase", SimpleNamespace(kind=PhaseKind.SINGLE_SUPPORT))
+        controller._footsteps.show()
+    assert [msg.data for msg in robot.node.got["footstep_status"][-2:]] == 2 * ["walking 0/5"]
     robot.until("walking 1/5")
     if how == "stop":
         assert controller._stop(*ask).success
