@@ -236,9 +236,12 @@ class PoppyDriver(WalkNode):
                     heat[joint] = seen.temperature
                     each |= {f"temperature/{joint}": seen.temperature, f"voltage/{joint}": seen.voltage}
                 each |= {f"load/{joint}": float(plant.measured.load[k]), f"error bits/{joint}": int(error)}
-        hottest = max(heat, key=lambda joint: heat[joint])
-        each |= {"hottest motor": hottest, "hottest temperature": heat[hottest]}
-        text = "; ".join(faults.values()) or f"{hottest} is hottest, {heat[hottest]:.0f} degC"
+        state = "no motor has told its temperature"
+        if heat:
+            hottest = max(heat, key=lambda joint: heat[joint])
+            each |= {"hottest motor": hottest, "hottest temperature": heat[hottest]}
+            state = f"{hottest} is hottest, {heat[hottest]:.0f} degC"
+        text = "; ".join(faults.values()) or state
         self.diagnose("motors", self._hardware, "ERROR" if faults else "OK", text, each, stamp)
 
     def close(self) -> None:

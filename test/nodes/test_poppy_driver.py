@@ -409,3 +409,14 @@ def test_the_torque_is_switched_off_after_a_fall_and_on_when_no_motor_is_hot(
     assert one.call("activate", Trigger.Request()).success
     until(one, lambda: one.node._plant.ready)
     assert all(memory.torque(name) for name in MOTORS)
+
+
+def test_motors_that_have_not_told_their_temperature_do_not_end_the_driver(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their long replies may be damaged where the short ones with their angles are not."""
+    one, _ = driver_node(make, monkeypatch, CONFIG)
+    for part in one.node._plant.parts:
+        part.bus.registers[:] = [None] * len(part.bus.ids)
+    one.node._diagnose()
+    assert one.got["diagnostics"][-1].status[0].message == "no motor has told its temperature"
