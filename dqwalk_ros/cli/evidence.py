@@ -156,7 +156,7 @@ def table(done: Sequence[tuple[dict[str, Any], WalkOutcome]], ceilings: Mapping[
     lines += [
         "ceiling: the speed that the servos allow in steady steps; of pushes, what a pendulum on the soles catches"
     ]
-    lines += ["in the weakest direction with the steps of the walk, without the momentum of trunk and arms"]
+    lines += ["in the weakest direction with the steps of the walk; a body that turns can bear more than a point mass"]
     lines += ["touching: states in which links of the robot touch each other, by their collision shapes in MuJoCo"]
     reasons = Counter(
         (*group, without_numbers(one.reason)) for group, ends in groups.items() for one in ends if one.reason

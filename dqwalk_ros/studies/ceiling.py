@@ -2,8 +2,8 @@
 
 A result is worth what it is beside its ceiling. That of a push is the largest impulse after which steps catch the
 divergent component xi of a linear inverted pendulum (Koolen et al. 2012): the pressure stays at the edge of the sole
-towards xi, xi' = w (xi - z), and every foot lands as early and as far as the walk lets it. A robot can exceed it with
-the momentum of its trunk and arms, which a pendulum has not.
+towards xi, xi' = w (xi - z), and every foot lands as early and as far as the walk lets it. A robot can exceed it,
+because it turns its body and stands on a tipped sole, and a pendulum is a point mass on a flat one.
 """
 
 from __future__ import annotations
