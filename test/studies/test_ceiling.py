@@ -14,6 +14,7 @@ from dqwalk_ros.studies import ceiling
 from dqwalk_ros.studies.ceiling import PushCeiling, caught
 from dqwalk_ros.studies.evidence import Row, ceilings
 from dqwalk_ros.studies.pushes import Push
+from dqwalk_ros.studies.servo_choice import Gait
 
 CONFIG = load("poppy_dynamic")
 MODEL = load_model(CONFIG.robot)
@@ -56,6 +57,17 @@ def test_steps_that_may_be_longer_or_quicker_catch_more() -> None:
     assert of(without, outwards) == pytest.approx(of(CONFIG, outwards))
     assert of(CONFIG, Push("left", 0.5 * math.pi, 1.0, part=0.1)) < of(CONFIG, outwards)  # xi is still near the sole
     assert of(CONFIG, Push("right", -0.5 * math.pi, 1.0)) == pytest.approx(of(CONFIG, outwards))
+
+
+def test_feet_land_in_turn_on_either_side() -> None:
+    """A push towards the swing foot is caught by it, and then by the other foot, which lands on its own side."""
+    found, d = PushCeiling(CONFIG, MODEL), CONFIG.dynamic
+    omega, gait = float(found._omega[1]), Gait.of(CONFIG)
+    half, apart = 0.5 * MODEL.soles[Foot.LEFT].width, found._apart
+    xi = apart / (math.exp(omega * gait.duration) + 1.0) * math.exp(omega * (0.5 * gait.double + 0.5 * gait.single))
+    left = math.exp(omega * max(d.shortest_step - 0.5 * gait.single, 0.0))
+    room = caught(half, apart + d.catch_side, d.catch_side - apart, math.exp(omega * d.shortest_step), left) - xi
+    assert found.of(Push("left", -0.5 * math.pi, 1.0)) == pytest.approx(MODEL.mass * omega * room)
 
 
 def test_a_stance_is_as_wide_as_both_soles() -> None:

@@ -11,7 +11,7 @@ from dqwalk_ros import cli
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.statics import gravity_torques
+from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.servos import Servos, load_types
 from dqwalk_ros.studies import servo_choice
@@ -110,6 +110,22 @@ def test_stronger_and_faster_servos_allow_more(poppy: tuple[Config, RobotModel])
     assert one.speed.value < two.speed.value
     assert one.push < two.push
     assert one.warm == pytest.approx(2.0 * two.warm)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_speed_is_that_of_one_step_whose_most_loaded_joint_is_least_loaded(poppy: tuple[Config, RobotModel]) -> None:
+    """Not of several steps, each the best for another joint."""
+    config, model = poppy[0].updated({"servo.types": ["*=AX-12"]}), poppy[1]
+    gait, legs = Gait.of(config), [joint for pair in leg_pairs(model) for joint in pair]
+    height = float(Kinematics(model, model.posture(config.standing.posture), Foot.LEFT).com[2])
+    speeds = [float(part) * np.sqrt(GRAVITY * height) for part in servo_choice._SPEEDS]
+    steps = [[step(config, model, one) for one in servo_choice._with_speed(gait, v, height)] for v in speeds]
+    servos = own_servos(config, model)
+    needed = [[largest_loads(servos, one)[legs].max() for one in ones if not one.off] for ones in steps]
+    needed = [min(loads) for loads in needed if loads]
+    over = next(k for k, load in enumerate(needed) if load > 1.0)  # before the legs reach no further
+    expected = np.interp(1.0, needed[over - 1 : over + 1], speeds[over - 1 : over + 1])
+    assert choose(config, model, {})[0].speed.value == pytest.approx(expected)
 
 
 def test_only_steps_of_fixed_duration_are_considered() -> None:
