@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -19,10 +20,10 @@ from dqwalk_ros.report.bag.messages import NS, Stamps, aligned, joint_states, po
 from dqwalk_ros.report.bag.recording import Recording
 from dqwalk_ros.report.bag.storage import Column
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import BagError, listed, shown
+from dqwalk_ros.support.errors import BagError, PhaseError, listed, shown
 from dqwalk_ros.trace import PhaseRecord
 
-__all__ = ["FARTHEST", "judged", "records", "starts"]
+__all__ = ["FARTHEST", "is_last", "judged", "records", "starts"]
 
 
 FARTHEST = 100.0
@@ -99,6 +100,28 @@ def judged(begun: Mapping[int, PhaseRecord], stamps: Stamps) -> NDArray[np.bool_
     whole = np.array([record.swing_target is None or is_pose(record.swing_target) for record in begun.values()])
     found: NDArray[np.bool_] = whole[np.searchsorted(np.array([*begun]), stamps, side="right") - 1]
     return found
+
+
+def is_last(bag: Recording, begun: Mapping[int, PhaseRecord], stamp: int, q: Array) -> bool:
+    """Return whether the last phase is over by its rule at the state with a stamp [ns] and angles `q` (n,) [rad].
+
+    If another phase followed, it would begin at this state.
+    """
+    began = max(begun)
+    record = dataclasses.replace(begun[began], config=_config_at(bag, began))
+    if stamp <= began or not (record.swing_target is None or is_pose(record.swing_target)):
+        return False
+    phase, elapsed = record.phase(bag.config, bag.model), (stamp - began) / NS
+    try:
+        kin = Kinematics(bag.model, q, phase.base)
+        return phase.rule.is_over(lambda: phase.assembly.error(kin, elapsed), elapsed)
+    except PhaseError:
+        return False
+
+
+def _config_at(bag: Recording, stamp: int) -> Config | None:
+    """Return the changed configuration that applied from a stamp [ns] or before; None for that of the whole walk."""
+    return bag.tuned.get(max((since for since in bag.tuned if since <= stamp), default=-1))
 
 
 def _parsed(name: str) -> _Name | None:
@@ -231,7 +254,6 @@ def records(bag: Recording, starts: Mapping[int, PhaseRecord], stamps: Stamps, e
             out.pop()
         if stamps[tick] != stamp and whole:
             bag.notes.append(f"the state at which {start.name} began, {time:.3f} s, is missing")
-        tuned = max((since for since in bag.tuned if since <= stamp), default=None)
-        config = None if tuned is None else bag.tuned[tuned]
+        config = _config_at(bag, stamp)
         out.append(dataclasses.replace(start, start=tick, time=time, x_odom_base=x_odom_base, config=config))
     return tuple(out)

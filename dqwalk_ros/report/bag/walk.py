@@ -216,8 +216,12 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
     last_phase = next((name for name in reversed(texts(bag.columns["phase"])) if name), "")
     if last_phase in (FAILED, FALLEN):
         notes.append("the walk failed: a phase could not end by its rule")
-    if last_phase == FINISHED and len(unanswered) < len(u):  # states after the end of the walk are omitted
-        end = int(np.setdiff1d(np.arange(len(u)), unanswered)[-1]) + 1
+    finished, answered = last_phase == FINISHED, np.setdiff1d(np.arange(len(u)), unanswered)
+    if len(answered) and "/" in last_phase and phases.is_last(bag, begun, int(stamps[answered[-1]]), q[answered[-1]]):
+        finished = True
+        notes.append(f"the message '{FINISHED}' is missing: the last phase is over, and no other has begun")
+    if finished and len(answered):  # states after the end of the walk are omitted
+        end = int(answered[-1]) + 1
         stamps, q, u, unanswered = stamps[:end], q[:end], u[:end], unanswered[unanswered < end]
     if len(unanswered):
         notes.append(f"{len(unanswered)} of {len(stamps)} states have no command")
@@ -235,13 +239,13 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
         u=u,
         phases=phases.records(bag, begun, stamps, epoch),
         solve_time=np.full(len(stamps), np.nan),
-        finished=last_phase == FINISHED and whole_walk,
+        finished=finished and whole_walk,
         notes=tuple(notes),
         origin=bag.origin,
         physics=_physics(bag, stamps),
         loads=known_loads(np.column_stack([force[:, 2] for force in _forces(bag, stamps, "load").values()])),
         epoch=epoch,
-        cut=not whole_walk or (bag.cut and last_phase not in (FINISHED, FAILED, FALLEN)),
+        cut=not whole_walk or (bag.cut and not finished and last_phase not in (FAILED, FALLEN)),
     )
 
 
