@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
+import shlex
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ from dqwalk_ros.cli.options import (
     quiet_option,
     set_option,
 )
-from dqwalk_ros.support.errors import ConfigError, ModelError, OutputError
+from dqwalk_ros.support.errors import ConfigError, ModelError, OutputError, kinds
 
 if TYPE_CHECKING:
     from dqwalk_ros.adopt import Adoption
@@ -30,8 +30,6 @@ __all__ = ["adopt"]
 
 _SHOWN = 8
 """Kinds of repairs that are printed, with one example of each."""
-_PARTICULAR = re.compile(r"'[^']*'|[-+.\d]+(?:e[-+]?\d+)?")
-"""What distinguishes repairs of the same kind: names and numbers."""
 
 
 @command("""
@@ -123,16 +121,16 @@ def adopt(
         except OutputError as error:
             raise ConfigError(str(error)) from error  # it is not adopted
         except ModelError as error:
-            for repair in _kinds(getattr(error, "__notes__", ())):
+            for repair in kinds(getattr(error, "__notes__", ())):
                 bar.print(f"repaired: {repair}")
             raise
         bar.stage(0.7, "drawing")
         draw(found.config, found.model, out / "robot.png", overwrite=force)
     if not quiet:
-        kinds = _kinds(found.repairs)
-        for repair in kinds[:_SHOWN]:
+        repairs = kinds(found.repairs)
+        for repair in repairs[:_SHOWN]:
             print(f"repaired: {repair}")
-        if len(kinds) < len(found.repairs) or len(kinds) > _SHOWN:
+        if len(repairs) < len(found.repairs) or len(repairs) > _SHOWN:
             print(f"all {len(found.repairs)} repairs are listed in {out / 'adopt.json'}")
         print(adopting.table(found))
         files = [out / name for name in sorted(adopting.FILES) if (out / name).exists()]
@@ -152,14 +150,6 @@ def adopt(
         except KeyboardInterrupt:
             page.close()
     return code
-
-
-def _kinds(repairs: Sequence[str]) -> list[str]:
-    """Return the first repair of each kind, with the number of others that differ only by names and numbers."""
-    kinds: dict[str, list[str]] = {}
-    for repair in repairs:
-        kinds.setdefault(_PARTICULAR.sub("", repair), []).append(repair)
-    return [same[0] + (f" ({len(same) - 1} more like this)" if len(same) > 1 else "") for same in kinds.values()]
 
 
 def _confirmed(question: str) -> bool:
@@ -209,7 +199,7 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
     if len(fast) > 1:
         print(f"{found.folder / 'dynamic.yaml'} has {_what(best(fast).changes) or 'no changes'}")
     for file in ("robot.yaml", "dynamic.yaml") if stands else ("robot.yaml",):
-        print(f"dqwalk simulate --config {found.folder / file} --plant physics")
+        print(shlex.join(["dqwalk", "simulate", "--config", str(found.folder / file), "--plant", "physics"]))
     fallen = "the standing walk stands in physics, the dynamic walk falls"
     print(f"adopted: {'the standing and the dynamic walk stand in physics' if stands else fallen}")
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -102,5 +103,6 @@ def exercise(
     if reason:
         print(f"dqwalk: {reason}", file=sys.stderr)
     if not quiet:
-        print(f"wrote {out / 'bag'}" + ("" if reason else f"; next: dqwalk identify {out / 'bag'}"))
+        then = shlex.join(["dqwalk", "identify", str(out / "bag")])
+        print(f"wrote {out / 'bag'}" + ("" if reason else f"; next: {then}"))
     return 1 if reason else 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,7 +70,8 @@ def identify(bag: Path, mass: float | None, out: Path | None, force: bool, quiet
     write_text(out, fit.parameters(found, trace.config.dt, mass), overwrite=force)
     if not quiet:
         print(table(found))
-        print(f"wrote {out}; dqwalk replay {bag} --params {out} compares, dqwalk simulate --params {out} uses it")
+        of, params = shlex.quote(str(bag)), shlex.join(["--params", str(out)])
+        print(f"wrote {out}; dqwalk replay {of} {params} compares, dqwalk simulate {params} uses it")
     return 1 if found.missing else 0
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.support.errors import ModelError, kinds
 
 __all__ = ["LARGEST", "MOST_BYTES", "elements", "place"]
 
@@ -96,8 +96,9 @@ def elements(data: bytes | str, source: str) -> ElementTree.Element:
     wrong = [error for element in root.iter() for error in _wrong(element, known)]
     wrong = wrong or _not_a_tree(root)
     if wrong:
-        more = [f"and {len(wrong) - _MOST_ERRORS} more"] if len(wrong) > _MOST_ERRORS else []
-        raise ModelError(f"{source}, " + "; ".join([*wrong[:_MOST_ERRORS], *more]))
+        texts = kinds(wrong)
+        more = [f"and {len(texts) - _MOST_ERRORS} more"] if len(texts) > _MOST_ERRORS else []
+        raise ModelError(f"{source}, " + "; ".join([*texts[:_MOST_ERRORS], *more]))
     return root
 
 

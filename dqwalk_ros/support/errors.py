@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import traceback
 from collections.abc import Collection, Mapping, Sequence
 
@@ -19,6 +20,7 @@ __all__ = [
     "StudyError",
     "ViewerError",
     "how_to_install",
+    "kinds",
     "listed",
     "not_imported",
     "printable",
@@ -30,6 +32,18 @@ def listed(names: Collection[str]) -> str:
     """Return some names that came from outside, for a message that fits on a line and cannot act on a terminal."""
     some = [shown(name) for name in sorted(names)[:12]]
     return ", ".join([*some, f"and {len(names) - 12} more"] if len(names) > 12 else some)
+
+
+_PARTICULAR = re.compile(r"'[^']*'|[-+.\d]+(?:e[-+]?\d+)?")
+"""What distinguishes messages of the same kind: names and numbers."""
+
+
+def kinds(messages: Sequence[str]) -> list[str]:
+    """Return the first message of each kind, with the number of others that differ only by names and numbers."""
+    found: dict[str, list[str]] = {}
+    for message in messages:
+        found.setdefault(_PARTICULAR.sub("", message), []).append(message)
+    return [same[0] + (f" ({len(same) - 1} more like this)" if len(same) > 1 else "") for same in found.values()]
 
 
 def printable(text: str) -> str:

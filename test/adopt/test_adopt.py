@@ -8,6 +8,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.adopt.trial import Trial, dynamic_walks, legs_touching, too_much
+from dqwalk_ros.cli.adopt import _walk
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -290,6 +292,15 @@ def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user
     after = load(tmp_path / "robot" / "dynamic.yaml").servo
     assert after.window == pytest.approx(factors[0] * before.window)
     assert after.assumed_lead == pytest.approx(factors[1] * before.assumed_lead, rel=0.03)
+
+
+def test_commands_to_be_copied_name_a_folder_with_blanks_as_a_shell_reads_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(trial, "first_walks", lambda *_: [(FINE, "")])
+    monkeypatch.setattr(trial, "dynamic_walks", lambda *_: [(FELL, "")])
+    assert _walk(SimpleNamespace(folder=Path("my robot")), {}, quiet=True) == 0
+    assert "\ndqwalk simulate --config 'my robot/robot.yaml' --plant physics\n" in capsys.readouterr().out
 
 
 def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_steps(tmp_path: Path) -> None:

@@ -81,6 +81,10 @@ BAD = {
     "negative mass": (robot(link("a", '<mass value="-1"/>')), "line 2: <link> 'a' has a negative mass"),
     "nan mass": (robot(link("a", '<mass value="nan"/>')), "<mass> has value = 'nan'"),
     "sphere": (robot(link("a", more='<visual><geometry><sphere radius="-1"/></geometry></visual>')), "negative size"),
+    "twelve times": (
+        robot(*(link(f"l{k}", f'<mass value="{k},5"/>') for k in range(12))),
+        r"bad.urdf, line 2: <mass> has value = '0,5', which is no number that a robot has \(11 more like this\)$",
+    ),
     "all at once": (robot("<link/>", A, joint(kind="magic")), "line 2: .*; line 4: "),
 }
 
