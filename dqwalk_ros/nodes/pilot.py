@@ -1,7 +1,7 @@
 """Steers a walk along a course, then stops it with the feet together.
 
-The time of the course is that of the stamps of joint_states, so the course is the same in lockstep. It begins when the
-controller has subscribed to cmd_vel.
+The time of the course is that of the stamps of the commands, which are those of the robot's states, so the course is
+the same in lockstep. It begins when the controller has subscribed to cmd_vel.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
+from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.nodes.safety import ClockSteps
 from dqwalk_ros.walks.course import Course
 
@@ -26,7 +27,7 @@ _PERIOD = 0.1
 _SILENT, _REPEATED = 20, 100
 """Periods after which the pilot says that it waits for a controller, and those after which it says so again."""
 _LONGEST = 5_000_000_000
-"""Longest time between two states, above which a stamp is wrong, or a clock was set [ns]."""
+"""Longest time between two commands, above which a stamp is wrong, or a clock was set [ns]."""
 
 
 class Pilot(WalkNode):
@@ -34,7 +35,7 @@ class Pilot(WalkNode):
 
     Subscribes to::
 
-        joint_states             sensor_msgs/JointState: its stamps are the time of the course
+        joint_velocity_commands  sensor_msgs/JointState: its stamps are the time of the course
 
     Publishes::
 
@@ -63,13 +64,13 @@ class Pilot(WalkNode):
         self._stop_request: Future | None = None
         self._twists = self.create_publisher(Twist, "cmd_vel", 1)
         self._stopping = self.create_client(Trigger, "controller/stop")
-        self.create_subscription(JointState, "joint_states", self._on_state, ros.best_effort(1))
+        self.create_subscription(JointState, VELOCITY, self._on_command, ros.best_effort(1))
         self.create_timer(_PERIOD, self._steer)
         count = len(self._course.legs)
         legs = "1 leg" if count == 1 else f"{count} legs"
         self.get_logger().info(f"a course of {self._course.duration:g} s in {legs}")
 
-    def _on_state(self, msg: JointState) -> None:
+    def _on_command(self, msg: JointState) -> None:
         stamp = ros.nanoseconds(msg.header.stamp)
         if self._now >= 0 and not 0 <= stamp - self._now <= _LONGEST:
             if not self._steps.is_one(stamp):

@@ -207,7 +207,7 @@ def test_a_wrong_stamp_does_not_end_the_course_of_the_pilot(make: Any) -> None:
     pilot = make("pilot", CONFIG, "--cmd-vel", "0.01,0,0,10")
     pilot.node._twists.get_subscription_count = lambda: 1
     for stamp in (*np.arange(1.0, 3.0, 0.1), 2e9, *np.arange(3.0, 5.0, 0.1), *np.arange(1e9, 1e9 + 7.0, 0.1)):
-        pilot.send("joint_states", state([], [], stamp))
+        pilot.send("joint_velocity_commands", state([], [], stamp))
         pilot.node._steer()
     forward = [msg.linear.x for msg in pilot.got["cmd_vel"]]
     assert 97 <= forward.count(0.01) <= 105  # 10 s, in which the time stands still for 3 states
