@@ -3,18 +3,21 @@
 Messages are recorded at the time of their own stamp. A message without a stamp, or with a stamp seconds ahead of the
 walk, is recorded at the newest stamp so far. In lockstep this is simulated time, so a bag does not depend on the speed
 of the machine; in real time it differs from the time of receipt by the transport delay. An identical message that was
-published again in lockstep is recorded once.
+published again in lockstep is recorded once. States of other joints, such as those of a gripper, are recorded, but tell
+no time.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy
 from rosbags.rosbag2 import WriterError
+from sensor_msgs.msg import JointState
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
@@ -39,6 +42,7 @@ _ALL = TOPICS | BODY_TOPICS
 _PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
+_COMMANDS = ("joint_velocity_commands", "joint_effort_commands")
 FAR = 5_000_000_000
 """Jump of the stamp [ns] above which the stamp of a single message is considered wrong."""
 
@@ -64,6 +68,39 @@ class WalkTime:
             self._far = None
         else:
             self._far = stamp
+
+
+class RobotStates:
+    """Tells the robot's messages of joint_states from those of a gripper: the commands name the joints of the robot."""
+
+    _HEAD = slice(12, 200)
+    """Bytes of a serialised message behind its stamp, by which messages with the same joints are known [bytes]."""
+
+    def __init__(self) -> None:
+        self._reader: ros.JointReader | None = None
+        self._foreign: dict[bytes, bool] = {}  # by the first bytes, which are frame and names
+
+    def learn(self, raw: bytes) -> bool:
+        """Learn the joints of the robot from its first command; return whether this is the first one."""
+        if self._reader is not None:
+            return False
+        with contextlib.suppress(StateError):
+            self._reader = ros.JointReader(ros.deserialized(raw, JointState).name)
+        return self._reader is not None
+
+    def is_foreign(self, raw: bytes) -> bool:
+        """Return whether a message has joints, but none of the robot, as far as these are known."""
+        if self._reader is None:
+            return False
+        head = bytes(raw[self._HEAD])
+        if head not in self._foreign:
+            if len(self._foreign) > 100:
+                self._foreign.clear()
+            try:
+                self._foreign[head] = self._reader.is_foreign(ros.deserialized(raw, JointState))
+            except StateError:
+                return True
+        return self._foreign[head]
 
 
 class Recorder(WalkNode):
@@ -109,7 +146,7 @@ class Recorder(WalkNode):
         self._last = dict.fromkeys(_EACH_TICK, -1)
         self._last_raw: dict[str, bytes] = {}
         self._missing = dict.fromkeys(_EACH_TICK, 0)
-        self._time = WalkTime()
+        self._time, self._robot = WalkTime(), RobotStates()
         self._early: list[tuple[str, bytes]] = []  # messages before the first stamp
         self._handled = self._handled_before = 0  # number of messages, now and at the last check of `is_drained`
         self._stop_at = float("inf")
@@ -143,7 +180,10 @@ class Recorder(WalkNode):
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
         self._handled += 1
         stamp = self._time.newest
-        if name not in OTHERS and topic.type.startswith(_STAMPED):
+        if name in _COMMANDS and self._robot.learn(raw):
+            self._last["joint_states"], self._missing["joint_states"] = -1, 0  # those so far may be of a gripper
+        foreign = name == "joint_states" and self._robot.is_foreign(raw)  # recorded as a topic of `OTHERS`
+        if not foreign and name not in OTHERS and topic.type.startswith(_STAMPED):
             try:
                 own = ros.stamp_of(raw)
             except StateError as error:

@@ -86,6 +86,27 @@ def test_missing_centres_of_pressure_are_not_counted_as_lost(make: Any, tmp_path
     assert one.node._missing["center_of_pressure"] == 0
 
 
+@pytest.mark.parametrize("clock", [0.0, 1.0, 1.9e9])
+def test_the_states_of_a_gripper_are_recorded_but_tell_no_time(make: Any, tmp_path: Path, clock: float) -> None:
+    """Unstamped ones before those of the robot kept the time of the bag at zero; others were counted as gaps."""
+    one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
+    stamps = 2.0 + PAPER.dt * np.arange(100)
+    for k, stamp in enumerate(stamps):
+        if k % 5 == 0:
+            gripper = state(["gripper"], [0.01 * k], clock + bool(clock) * PAPER.dt * k)
+            one.send("joint_states", bytes(serialize_message(gripper)))
+        one.send("joint_states", serialized_state(stamp))
+        one.send("joint_velocity_commands", serialized_state(stamp))
+        one.send("phase_log", bytes(serialize_message(String(data=str(k)))))
+    assert not any(one.node._missing.values())
+    one.node.close()
+    columns = load_bag(tmp_path / "bag", lambda name, kind: True).columns
+    assert len(columns["/joint_states"].raws) == 120
+    expected = np.round(1e9 * stamps).astype(np.int64)
+    np.testing.assert_array_equal(columns["/joint_velocity_commands"].times, expected)
+    np.testing.assert_array_equal(columns["/phase"].times[2:], expected[2:])
+
+
 def test_commands_read_long_before_their_states_are_recorded_at_their_stamps(make: Any, tmp_path: Path) -> None:
     """A suspended recorder wakes with full queues, in lockstep of many seconds; each is read as a whole."""
     one, stamps = make("recorder", PAPER, "--bag", str(tmp_path / "bag")), PAPER.dt * np.arange(200, 3000)

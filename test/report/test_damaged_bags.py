@@ -11,6 +11,7 @@ import sqlite3
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from dqwalk_ros import cli, report
 from dqwalk_ros.report import bag
-from dqwalk_ros.report.bag import messages
+from dqwalk_ros.report.bag import messages, storage
 from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.whole_body.bag import read_body
 
@@ -288,6 +289,49 @@ def test_phases_whose_states_are_missing_are_not_judged(trace, path, tmp_path):
     assert report["walk"]["cut"]
     assert not report["walk"]["finished"]
     assert any("after the last state, and is left out" in note for note in report["notes"])
+
+
+def test_a_lost_end_of_a_walk_follows_from_its_last_state_and_from_no_other(trace, path):
+    """Without the message 'finished' a whole walk was NOT OK: "the walk stopped before its end"."""
+    content = bag.content_of(path)
+
+    def kept(keeps):
+        columns = {}
+        for topic, column in content.columns.items():
+            few = [one for one in zip(column.times, column.order, column.raws, strict=True) if keeps(*one[1:])]
+            columns[topic] = storage.Column(column.type, *map(list, zip(*few, strict=True)))
+        return bag.read(replace(content, columns=columns))
+
+    back = kept(lambda _, raw: not raw.endswith(b"finished\0"))
+    assert len(back) == len(trace)
+    assert back.finished
+    assert back.notes == ("the message 'finished' is missing: the last phase is over, and no other has begun",)
+    assert report.report(report.analyse(back))["ok"]
+    for ticks in (*(span[-1] + 1 for span in trace.spans[:-1]), len(trace) - 1):
+        end = content.columns["/joint_states"].order[ticks]
+        cut = kept(lambda order, _: order < end)  # noqa: B023
+        assert len(cut) == ticks
+        assert not cut.finished
+
+
+@pytest.mark.parametrize(
+    "stamp", [0, None, 19 * 10**17], ids=["unstamped", "with the stamps of the robot", "of another clock"]
+)
+def test_the_states_of_a_gripper_hide_none_of_the_robot(trace, path, stamp):
+    """Those with the stamp of a state replaced it; others were restarts, and only the last run was read."""
+    content = bag.content_of(path)
+    found, both = content.columns["/joint_states"], storage.Column("sensor_msgs/msg/JointState")
+    own = messages.joint_states(found, trace.model.joint_names).stamps.tolist()
+    for time, order, raw, at in zip(found.times, found.order, found.raws, own, strict=True):
+        at = at if stamp is None else stamp
+        gripper = messages.stamped(both.type, stamp=at, name=["gripper"], position=np.array([0.1]))
+        for one in (messages.serialize(gripper), raw):
+            both.times.append(time), both.order.append(order), both.raws.append(one)
+    back = bag.read(replace(content, columns=content.columns | {"/joint_states": both}))
+    np.testing.assert_array_equal(back.q, trace.q)
+    np.testing.assert_array_equal(back.u, trace.u)
+    assert back.finished
+    assert not back.notes
 
 
 def test_a_text_that_is_damaged_does_not_hide_the_walk(trace, path):

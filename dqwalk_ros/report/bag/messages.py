@@ -315,11 +315,11 @@ class JointStates:
     Attributes
     ----------
     rows : ndarray of int, shape (N,)
-        Their indices in the column; damaged messages are omitted.
+        Their indices in the column; damaged messages, and those of other joints, are omitted.
     stamps : ndarray of int64, shape (N,) [ns]
     frames : tuple of str, N
     named : tuple of str
-        The joints named in the messages, at most a hundred.
+        The joints named in all messages, at most a hundred.
     position, velocity, effort : ndarray, shape (N, n)
         Of the requested joints; nan where a message has no value.
     """
@@ -334,7 +334,7 @@ class JointStates:
 
 
 def joint_states(column: Column, names: Sequence[str]) -> JointStates:
-    """Return the JointState messages of a column, for any order of their joints.
+    """Return the JointState messages of a column with any of some joints, in any order of their joints.
 
     Raises
     ------
@@ -349,7 +349,11 @@ def joint_states(column: Column, names: Sequence[str]) -> JointStates:
     for found in tables(column):
         m, end = found.message, done + len(found.rows)
         at = {name: i for i, name in reversed(list(enumerate(m.name)))}
+        if len(named) < 100:
+            named |= dict.fromkeys(m.name[:100])
         mine = [i for i, name in enumerate(names) if name in at]
+        if at and not mine:  # of a gripper
+            continue
         theirs = [at[names[i]] for i in mine]
         sizes = [len(m.position), len(m.velocity), len(m.effort)]
         for out, part in zip(values, np.split(found.numbers, np.cumsum(sizes)[:2], axis=1), strict=True):
@@ -358,8 +362,6 @@ def joint_states(column: Column, names: Sequence[str]) -> JointStates:
         rows.append(found.rows)
         stamps.append(found.stamps)
         frames += [m.header.frame_id] * len(found.rows)
-        if len(named) < 100:
-            named |= dict.fromkeys(m.name[:100])
         done = end
     position, velocity, effort = values[:, :done]
     empty = np.zeros(0, np.int64)
