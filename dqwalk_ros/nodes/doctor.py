@@ -119,11 +119,20 @@ class Doctor(Node):
         self.heard.moving = self.heard.moving or any(msg.velocity)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        self.heard.diagnosed = True
         for status in msg.status:
+            if self._is_of_another(status.name.partition(":")[0]):
+                continue
+            self.heard.diagnosed = True
             self.heard.errors.pop(status.name, None)
             if status.level == DiagnosticStatus.ERROR:
                 self.heard.errors[status.name] = status.message
+
+    def _is_of_another(self, name: str) -> bool:
+        """Return whether the name of a status begins with another namespace than this robot's, if that has one."""
+        own, other = self.get_namespace(), f"/{name.lstrip('/')}".rpartition("/")[0]
+        if own == "/" or f"{other}/".startswith(f"{own}/"):
+            return False
+        return any(other == namespace for _, namespace in self.get_node_names_and_namespaces())
 
     def unheard(self) -> dict[str, tuple[str, ...]]:
         """Return the latched topics that are published, but of which no message was received, and their publishers."""

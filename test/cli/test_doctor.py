@@ -6,11 +6,14 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from inside import state
 from live import LATCHED
 from rclpy.context import Context
@@ -22,7 +25,7 @@ from dqwalk_ros.cli import main
 from dqwalk_ros.cli.readiness import CHECKS, examine
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.doctor import Heard, listen
+from dqwalk_ros.nodes.doctor import Doctor, Heard, listen
 from dqwalk_ros.plants.base import Inertial
 from dqwalk_ros.robot.model import load_model
 
@@ -147,6 +150,30 @@ def test_faults_are_reported_with_a_remedy(fault: str) -> None:
     found = failed_checks(heard())
     assert expected in found[check]
     assert check == next(iter(found))  # no other check fails before it
+
+
+@pytest.mark.parametrize(
+    ("namespace", "name", "counts"),
+    [
+        ("/one", "one/controller: walk", True),
+        ("/one", "/one/hands/left: motors", True),
+        ("/one", "two/controller: walk", False),
+        ("/one", "controller_manager: activity", True),  # diagnostic_updater leaves the namespace out
+        ("/one", "imu/left: rate", True),  # no namespace
+        ("/one", "one_more/controller: walk", False),
+        ("/", "two/controller: walk", True),  # which may be a part of this robot
+    ],
+)
+def test_errors_of_another_robot_do_not_count(namespace: str, name: str, counts: bool) -> None:
+    heard = Heard(1.0)
+    nodes = [("controller", f"/{one}") for one in ("one", "two", "one_more")]
+    doctor: Any = SimpleNamespace(
+        heard=heard, get_namespace=lambda: namespace, get_node_names_and_namespaces=lambda: [("doctor", "/"), *nodes]
+    )
+    doctor._is_of_another = partial(Doctor._is_of_another, doctor)
+    Doctor._on_diagnostics(doctor, DiagnosticArray(status=[DiagnosticStatus(level=b"\x02", name=name, message="bad")]))
+    assert heard.errors == ({name: "bad"} if counts else {})
+    assert heard.diagnosed is counts
 
 
 def test_a_ros_that_does_not_start_is_an_error_in_one_line(monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
