@@ -288,10 +288,11 @@ def inertial_of(msg: Imu) -> tuple[Array, Array, Array | None]:
     Raises
     ------
     StateError
-        If there is no orientation, or a number is not finite.
+        If there is no orientation or no angular velocity, or a number is not finite.
     """
-    if msg.orientation_covariance[0] < 0.0:
-        raise StateError("imu: it has no orientation (its covariance begins with -1)")
+    for what in ("orientation", "angular_velocity"):
+        if getattr(msg, f"{what}_covariance")[0] < 0.0:
+            raise StateError(f"imu: it has no {what.replace('_', ' ')} (its covariance begins with -1)")
     r, w, a = msg.orientation, msg.angular_velocity, msg.linear_acceleration
     size = math.sqrt(r.w * r.w + r.x * r.x + r.y * r.y + r.z * r.z)
     gyro, acceleration = np.array([w.x, w.y, w.z]), np.array([a.x, a.y, a.z])

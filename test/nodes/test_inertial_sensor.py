@@ -70,6 +70,7 @@ def test_an_invalid_imu_message_is_refused(make: Any) -> None:
         (imu_at(0, x=float("nan")), "unit quaternion"),
         (Imu(angular_velocity=Vector3(x=float("inf"))), "finite angular velocity"),
         (Imu(orientation_covariance=[-1.0] + [0.0] * 8), "no orientation"),
+        (Imu(angular_velocity_covariance=[-1.0] + [0.0] * 8), "no angular velocity"),
     ):
         one.send("imu", bad)
         with pytest.raises(StateError, match=why):
