@@ -21,7 +21,7 @@ from mcap.writer import Writer as McapWriter
 from recorded import rewrite
 from rosbags.rosbag2 import StoragePlugin
 
-from dqwalk_ros import cli, report
+from dqwalk_ros import KinematicPlant, cli, load, load_model, make_controller, report, simulate
 from dqwalk_ros.report import bag
 from dqwalk_ros.report.bag import messages, storage
 from dqwalk_ros.support.errors import BagError
@@ -291,27 +291,32 @@ def test_phases_whose_states_are_missing_are_not_judged(trace, path, tmp_path):
     assert any("after the last state, and is left out" in note for note in report["notes"])
 
 
-def test_a_lost_end_of_a_walk_follows_from_its_last_state_and_from_no_other(trace, path):
+def kept(content, keeps):
+    """Return the walk of the messages for which keeps(place in the bag, bytes)."""
+    columns = {}
+    for topic, column in content.columns.items():
+        few = [one for one in zip(column.times, column.order, column.raws, strict=True) if keeps(*one[1:])]
+        columns[topic] = storage.Column(column.type, *map(list, zip(*few, strict=True)))
+    return bag.read(replace(content, columns=columns))
+
+
+def test_a_lost_end_of_a_walk_follows_from_its_last_state_and_from_no_other(trace, path, tmp_path):
     """Without the message 'finished' a whole walk was NOT OK: "the walk stopped before its end"."""
-    content = bag.content_of(path)
-
-    def kept(keeps):
-        columns = {}
-        for topic, column in content.columns.items():
-            few = [one for one in zip(column.times, column.order, column.raws, strict=True) if keeps(*one[1:])]
-            columns[topic] = storage.Column(column.type, *map(list, zip(*few, strict=True)))
-        return bag.read(replace(content, columns=columns))
-
-    back = kept(lambda _, raw: not raw.endswith(b"finished\0"))
-    assert len(back) == len(trace)
-    assert back.finished
-    assert back.notes == ("the message 'finished' is missing: the last phase is over, and no other has begun",)
-    assert report.report(report.analyse(back))["ok"]
-    for ticks in (*(span[-1] + 1 for span in trace.spans[:-1]), len(trace) - 1):
-        end = content.columns["/joint_states"].order[ticks]
-        cut = kept(lambda order, _: order < end)  # noqa: B023
-        assert len(cut) == ticks
-        assert not cut.finished
+    config = load("poppy_dynamic").updated({"gait.steps": 1})  # of which some phases take longer than planned
+    model = load_model(config.robot)
+    dynamic = simulate(make_controller(config, model), KinematicPlant(model, model.posture(config.standing.posture)))
+    bag.write(dynamic, tmp_path / "dynamic")
+    for walk, content in ((trace, bag.content_of(path)), (dynamic, bag.content_of(tmp_path / "dynamic"))):
+        back = kept(content, lambda _, raw: not raw.endswith(b"finished\0"))
+        assert len(back) == len(walk)
+        assert back.finished
+        assert back.notes == ("the message 'finished' is missing: the last phase is over, and no other has begun",)
+        assert report.report(report.analyse(back))["ok"]
+        for ticks in (*(span[-1] for span in walk.spans[1:]), *(span[-1] + 1 for span in walk.spans[:-1])):
+            end = content.columns["/joint_states"].order[ticks]
+            cut = kept(content, lambda order, _: order < end)  # noqa: B023
+            assert len(cut) == ticks
+            assert not cut.finished
 
 
 @pytest.mark.parametrize(

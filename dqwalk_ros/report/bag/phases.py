@@ -22,6 +22,7 @@ from dqwalk_ros.report.bag.storage import Column
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError, PhaseError, listed, shown
 from dqwalk_ros.trace import PhaseRecord
+from dqwalk_ros.walks.table import walk_type
 
 __all__ = ["FARTHEST", "is_last", "judged", "records", "starts"]
 
@@ -103,13 +104,20 @@ def judged(begun: Mapping[int, PhaseRecord], stamps: Stamps) -> NDArray[np.bool_
 
 
 def is_last(bag: Recording, begun: Mapping[int, PhaseRecord], stamp: int, q: Array) -> bool:
-    """Return whether the last phase is over by its rule at the state with a stamp [ns] and angles `q` (n,) [rad].
+    """Return whether the last phase of all is over by its rule at a state, at which the next one would begin.
 
-    If another phase followed, it would begin at this state.
+    Parameters
+    ----------
+    stamp : int
+        Of the state [ns].
+    q : ndarray, shape (n,)
+        Its joint angles [rad].
     """
     began = max(begun)
     record = dataclasses.replace(begun[began], config=_config_at(bag, began))
-    if stamp <= began or not (record.swing_target is None or is_pose(record.swing_target)):
+    whole = 0 < walk_type(bag.config).phases(bag.config) <= len(begun)
+    transfers = record.kind is PhaseKind.DOUBLE_SUPPORT  # which always leads to another phase
+    if not whole or transfers or stamp <= began or not (record.swing_target is None or is_pose(record.swing_target)):
         return False
     phase, elapsed = record.phase(bag.config, bag.model), (stamp - began) / NS
     try:
