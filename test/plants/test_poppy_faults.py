@@ -11,6 +11,7 @@ from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
 from dqwalk_ros.plants.poppy.dynamixel import GAINS, GOAL, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT, DynamixelBus, open_port
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo
+from dqwalk_ros.plants.poppy.plant import open_buses
 from dqwalk_ros.support.errors import PlantError
 
 KNEE = MOTORS["l_knee_y"].id
@@ -129,6 +130,31 @@ def test_a_replugged_port_is_reopened(rig: Rig) -> None:
     check_holds(rig)
     rig.settle()
     check_moves(rig)
+
+
+@pytest.mark.parametrize("port", ["auto", "/dev/ttyACM0"])
+def test_a_port_that_comes_back_under_another_name_is_searched_for(monkeypatch: pytest.MonkeyPatch, port: str) -> None:
+    """Adapters that are plugged in again may exchange their names; only a port that is named stays the same."""
+    name, opened, memory = "/dev/ttyACM0", [], Memory()
+    monkeypatch.setattr("dqwalk_ros.plants.poppy.plant.find_port", lambda ids: name)
+
+    def open_port(asked: str) -> EmulatedPort:
+        opened.append(asked)
+        return EmulatedPort(memory.servos["lower"])
+
+    monkeypatch.setattr("dqwalk_ros.plants.poppy.plant.open_port", open_port)
+    own = CONFIG.updated({"poppy.lower_port": port}).poppy
+    lower = {motor.name: motor for motor in MOTORS.values() if motor.bus == "lower"}
+    (bus,) = open_buses(lower, TYPES, own, memory.clock).values()
+    unplug(memory.servos["lower"])
+    bus.read()
+    assert bus.lost
+    memory.servos["lower"].clear_faults()
+    name = "/dev/ttyACM1"
+    memory.clock.now += 2.0
+    bus.read()
+    assert not bus.lost
+    assert opened == ["/dev/ttyACM0", name if port == "auto" else port]
 
 
 @read_either_way

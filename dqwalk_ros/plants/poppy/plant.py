@@ -12,7 +12,7 @@ import functools
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -645,6 +645,11 @@ def _same_port(one: str, other: str) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
 
+def _opened(port: str, ids: Sequence[int]) -> Any:
+    """Return a port by its name or, for ``auto``, the one of these servos, which may have another name each time."""
+    return open_port(find_port(ids) if port == "auto" else port)
+
+
 def open_buses(
     motors: Mapping[str, Motor], types: Mapping[str, ServoType], config: PoppyConfig, clock: Clock
 ) -> dict[str, DynamixelBus]:
@@ -673,7 +678,7 @@ def open_buses(
                 servos = EmulatedServos([EmulatedServo(i, kind) for i, kind in zip(ids, kinds, strict=True)], clock)
                 opened: Callable[[], Any] = partial(EmulatedPort, servos)
             else:
-                opened = partial(open_port, find_port(ids) if port == "auto" else port)
+                opened = partial(_opened, port, ids)
             buses[name] = DynamixelBus(name, opened, ids, kinds, sync_read=config.sync_read, clock=clock)
         except (OSError, PlantError) as error:
             for bus in buses.values():
