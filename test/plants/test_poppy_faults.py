@@ -138,9 +138,9 @@ def test_a_port_that_comes_back_under_another_name_is_searched_for(monkeypatch: 
     name, opened, memory = "/dev/ttyACM0", [], Memory()
     monkeypatch.setattr("dqwalk_ros.plants.poppy.plant.find_port", lambda ids: name)
 
-    def open_port(asked: str) -> EmulatedPort:
+    def open_port(asked: str) -> object:
         opened.append(asked)
-        return EmulatedPort(memory.servos["lower"])
+        return memory._port(memory.servos["lower"])
 
     monkeypatch.setattr("dqwalk_ros.plants.poppy.plant.open_port", open_port)
     own = CONFIG.updated({"poppy.lower_port": port}).poppy
