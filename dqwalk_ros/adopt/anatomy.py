@@ -8,7 +8,6 @@ rectangle in the plane on which a foot stands.
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -18,12 +17,13 @@ import numpy as np
 
 from dqwalk_ros.adopt.arms import find_hands, find_imu
 from dqwalk_ros.adopt.doubts import check_sizes
-from dqwalk_ros.adopt.legs import Leg, axes_differ, bent, freedom, leg_of
+from dqwalk_ros.adopt.legs import Leg, bent, freedom, leg_of
+from dqwalk_ros.adopt.pair import NoLegsError, branches, find_pair, mirrored
 from dqwalk_ros.adopt.skeleton import Entry, Skeleton
-from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links, plane_below
+from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import X, Y, Z
+from dqwalk_ros.paper.geometry import Y
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
@@ -32,12 +32,6 @@ from dqwalk_ros.support.errors import ModelError
 __all__ = ["Anatomy", "distances", "find_anatomy"]
 
 
-_NEAR_FLOOR = 0.03
-"""Largest height of a foot above the lowest point, as a fraction of the robot's height."""
-_TOUCHES = 0.006
-"""Largest difference of the lowest points of two bodies that both touch the ground, as a fraction of the height."""
-_ASYMMETRY = 0.02
-"""Tolerance of the symmetry of left and right joints, as a fraction of the length of a leg."""
 _UNLIKE = 0.5
 """Largest difference of the limits of joints that mirror each other [rad]."""
 _STRAIGHT = 0.9
@@ -133,14 +127,14 @@ def find_anatomy(
         raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints{more}")
     check_sizes(plain, shapes)
     try:
-        return _any_up(plain, (left, right), forward)
-    except _NoLegsError:
+        return _anatomy(*find_pair(plain, (left, right)), forward, bool(left))
+    except NoLegsError:
         # the root may be in a leg: which link is the root is arbitrary
         for link in _forks(plain):
             urdf.reroot(link)
             shapes.forget()
             try:
-                found = _any_up(Skeleton(urdf, shapes), (left, right), forward)
+                found = _anatomy(*find_pair(Skeleton(urdf, shapes), (left, right)), forward, bool(left))
             except ModelError:
                 continue
             urdf.repairs.append(f"the root link '{root}' is in a leg: '{link}' is taken as the root")
@@ -148,174 +142,10 @@ def find_anatomy(
         raise
 
 
-class _NoLegsError(ModelError):
-    """No two legs were found, in the tree with the present root link."""
-
-
 def _forks(skeleton: Skeleton) -> list[str]:
     """Return the heaviest links of the bodies between two or more joints, besides the root, the heaviest body first."""
     parents = [way[-2] for way in map(skeleton.way, skeleton.joints) if len(way) > 1]
     return [skeleton.heaviest(body) for body in sorted({*parents}, key=lambda body: -skeleton.mass(body))]
-
-
-def _any_up(plain: Skeleton, given: tuple[str, str], forward: str) -> Anatomy:
-    """Find the parts of a biped with z of the root link up, or else with another axis of it up."""
-    problem: ModelError | None = None
-    for up in _UPS:
-        skeleton = plain.turned(up)
-        try:
-            pair = _find_legs(skeleton, given)
-        except ModelError as error:
-            problem = problem or error  # report the error for z up
-            continue
-        if problem is not None and not _stands(skeleton, pair):
-            continue
-        return _anatomy(skeleton, pair, forward, all(given))
-    assert problem is not None
-    raise problem
-
-
-_UPS = tuple(np.array(rows) for rows in ((X, Y, Z), (Z, X, Y), (Y, Z, X), (Z, -X, -Y), (-Y, Z, -X), (X, -Y, -Z)))
-"""Rotations (3, 3) that make an axis of the root link vertical: z first (REP-103), then the others."""
-
-
-def _stands(skeleton: Skeleton, pair: tuple[str, str]) -> bool:
-    """Return whether legs found for another vertical axis than z carry the robot: level feet, the CoM above them."""
-    for ankle in pair:
-        found, _ = skeleton.points(foot_links(skeleton, ankle))
-        if found is None or plane_below(found)[0][2] < 1.0:
-            return False
-    feet = 0.5 * (skeleton.place(pair[0]) + skeleton.place(pair[1]))
-    com = skeleton.com(list(skeleton.bodies))
-    way = com - feet
-    return bool(way[2] > 2.0 * math.hypot(way[0], way[1]))
-
-
-# ---------------------------------------------------------------------- legs
-
-
-def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
-    """Return the last joints of the two legs."""
-    if all(given):
-        a, b = (skeleton.body(link) for link in given)
-        if not a or not b or a == b:
-            raise ModelError(
-                f"'{given[0]}' and '{given[1]}' cannot be the feet: they are not the ends of two chains of joints"
-            )
-        return a, b
-    places = {body: skeleton.points(links)[0] for body, links in skeleton.bodies.items()}
-    lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
-    if not lowest.keys() & skeleton.joints.keys():
-        how = (
-            f"{skeleton.lacking()}: give --package-path of a folder that has its package or the file"
-            if skeleton.lacking()
-            else ": add a box as <collision> to each foot"
-        )
-        raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
-    floor = min(lowest.values())
-    top = max(skeleton.pose(link).translation()[2] for link in skeleton.urdf.links)
-    height = max(top - floor, 1e-3)
-    near = {body for body, z in lowest.items() if z < floor + _NEAR_FLOOR * height}
-    feet = [body for body in near - {""} if not _is_toe(skeleton, body, lowest, floor, height)]
-    feet = [body for body in feet if not any(body in skeleton.way(other)[:-1] for other in feet)]
-    feet = _without_duplicates(skeleton, feet, height)
-    if len(feet) > 2 and all(len(skeleton.way(body)) < 3 for body in feet):
-        raise ModelError(f"the robot is not a biped: {len(feet)} legs reach the ground, with fewer than 3 joints each")
-    long_enough = [body for body in feet if len(skeleton.way(body)) >= 3]
-    apart = {
-        pair: _difference(skeleton, *_branches(skeleton, *pair)) for pair in itertools.combinations(long_enough, 2)
-    }
-    pairs = [pair for pair, different in apart.items() if not different]
-    if pairs and not any(_is_below_body(skeleton, _branches(skeleton, *pair)) for pair in pairs):
-        raise ModelError(
-            "the robot is not a biped: its lowest limbs are suspended from above the CoM of the rest of it, like arms; "
-            "if they are legs, correct the <origin> of its <inertial>, or name the feet with --left and --right"
-        )
-    if "" in near:
-        raise _NoLegsError("the robot is not a biped: it stands on its base, not on legs")
-    if len(long_enough) > 2:
-        raise ModelError(
-            f"the robot is not a biped: {len(long_enough)} legs reach the ground ({', '.join(long_enough)}); "
-            "if it is a biped, name its feet with --left and --right"
-        )
-    if not pairs and len(long_enough) == 1:  # the shape of the other foot may be less deep
-        (foot,) = long_enough
-        others = [body for body in skeleton.joints if foot not in skeleton.way(body) and body not in skeleton.way(foot)]
-        pairs = [(foot, body) for body in others if not _difference(skeleton, *_branches(skeleton, foot, body))]
-    if not pairs:
-        if apart:
-            what = next(iter(apart.values()))
-        elif long_enough:
-            what = f"only {', '.join(map(repr, long_enough))} reaches the ground"
-        else:
-            what = "no leg reaches the ground"
-        raise _NoLegsError(
-            f"the robot is not a biped: no two chains of joints that mirror each other reach the ground in the zero "
-            f"posture ({what}){skeleton.lacking()}; name its feet with --left and --right"
-        )
-    return pairs[0]
-
-
-def _is_toe(skeleton: Skeleton, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:
-    """Return whether a body is the toe of a foot: both touch the ground, and the joint between them is low."""
-    if len(skeleton.way(body)) < 2:
-        return False
-    foot = skeleton.way(body)[-2]
-    way = skeleton.place(body) - skeleton.place(foot)
-    stands = lowest.get(foot, math.inf) < lowest[body] + _TOUCHES * height
-    low = skeleton.place(body)[2] < floor + 2.0 * _NEAR_FLOOR * height
-    return bool(stands and low and math.hypot(way[0], way[1]) > 0.02 * height)
-
-
-def _without_duplicates(skeleton: Skeleton, feet: list[str], height: float) -> list[str]:
-    """Return one foot of those at the same position: a URDF describes a leg of parallel bars as several chains."""
-    kept: list[str] = []
-    for foot in sorted(feet, key=lambda body: (-skeleton.mass(body), -len(skeleton.way(body)), body)):
-        if all(np.linalg.norm(skeleton.place(foot) - skeleton.place(other)) > 0.03 * height for other in kept):
-            kept.append(foot)
-    return kept
-
-
-def _branches(skeleton: Skeleton, a: str, b: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the joints of two chains after their last common joint."""
-    first, second = skeleton.way(a), skeleton.way(b)
-    common = sum(joint in second for joint in first)  # a joint has one way to the root
-    return first[common:], second[common:]
-
-
-def _difference(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> str:
-    """Return how two chains of joints differ that are no mirror images or copies of each other; empty if they are."""
-    if len(one) != len(two):
-        return f"'{one[-1]}' ends a chain of {len(one)} joints, '{two[-1]}' one of {len(two)}"
-    if len(one) < 3:
-        return f"'{one[-1]}' ends a chain of only {len(one)} joints"
-    (p, a), (q, b) = skeleton.lines(one), skeleton.lines(two)
-    size = float(np.ptp(np.concatenate([p, q])[:, 2]))
-    lateral = np.median(p - q, axis=0)
-    lateral[2] = 0.0
-    length = float(np.linalg.norm(lateral))
-    if length < 1e-3 or size <= 0.0:
-        return f"'{one[-1]}' and '{two[-1]}' are not beside each other"
-    off = axes_differ(p, a, q, b, lateral / length)
-    worst, most = int(np.argmax(off)), max(0.006, _ASYMMETRY * size)
-    if off[worst] < most:
-        return ""
-    return (
-        f"'{one[worst]}' is {1e3 * off[worst]:.0f} mm from the mirror image of '{two[worst]}', more than "
-        f"{1e3 * most:.0f} mm"
-    )
-
-
-def _is_below_body(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, ...]]) -> bool:
-    """Return whether the CoM of the rest of the robot is above the hips of these legs."""
-    rest = [body for body in skeleton.bodies if not set(skeleton.way(body)) & {*legs[0], *legs[1]}]
-    hip, ankle = (0.5 * (skeleton.place(legs[0][k]) + skeleton.place(legs[1][k]))[2] for k in (0, -1))
-    found = [leg_of(*skeleton.lines(leg)) for leg in legs]
-    if found[0] and found[1]:
-        hip, ankle = (0.5 * (a + b)[2] for a, b in zip(*((leg.hip, leg.ankle) for leg in found if leg), strict=True))
-    if not sum(map(skeleton.mass, rest)) > 0.0:
-        return True
-    return bool(skeleton.com(rest)[2] > hip - 0.12 * (hip - ankle))
 
 
 # ---------------------------------------------------------------------- the rest of the robot
@@ -325,7 +155,7 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     """Return the parts of a biped whose legs end with the joints `pair`; `named` says that the user has named them."""
     urdf = skeleton.urdf
     _check_shapes(skeleton, pair)
-    one, two = _branches(skeleton, *pair)
+    one, two = branches(skeleton, *pair)
     _check_led(skeleton, one, two)
     _check_joints(skeleton, one, two)
     up = skeleton.pose(urdf.root).rotation_matrix()  # from the root's axes to axes with z up
@@ -593,9 +423,7 @@ def _find_forward(
     forward: str,
 ) -> tuple[Array, tuple[str, ...], tuple[str, ...], list[Entry]]:
     """Return the rotation (3, 3) that turns the forward direction to x, the left and the right leg, and the sources."""
-    lateral = np.median([skeleton.place(a) - skeleton.place(b) for a, b in zip(one, two, strict=True)], axis=0)
-    lateral[2] = 0.0
-    lateral /= np.linalg.norm(lateral)
+    lateral = mirrored(skeleton, one, two)[0]
     ahead = np.array([lateral[1], -lateral[0], 0.0])  # if `one` is the left leg
     root = skeleton.pose(skeleton.urdf.root).rotation_matrix()
     usual = float(ahead @ root[:, 0])
@@ -623,11 +451,10 @@ def _find_forward(
         ahead, one, two = -ahead, two, one
     where = root.T @ ahead
     axis = int(np.argmax(np.abs(where)))
-    exact = abs(where[axis]) > 0.99
-    name = f"{'+' if where[axis] > 0 else '-'}{'xyz'[axis]}" if exact else str(where.round(3).tolist())
-    if exact:
-        ahead = root @ np.eye(3)[axis] * np.sign(where[axis])
-    x, y, _ = ahead / np.linalg.norm(ahead)
+    name = (
+        f"{'+' if where[axis] > 0 else '-'}{'xyz'[axis]}" if abs(where[axis]) > 0.9999 else str(where.round(3).tolist())
+    )
+    x, y, _ = ahead
     found = [Entry("ahead", f"{name} of {skeleton.urdf.root}", source, confidence)]
     names, knees, feet = (weight for weight, _ in votes[:3])
     if names * (knees + feet) < 0.0 and names * feet <= 0.0:  # knees may bend backward, as those of a bird seem to

@@ -146,7 +146,7 @@ def test_the_origin_of_a_joint_along_its_axis_is_arbitrary(joint: str) -> None:
 def test_legs_that_differ_are_refused_with_joint_and_distance(tmp_path: Path) -> None:
     urdf = Urdf.load(SMALL)
     urdf.joints["r_knee"].origin[0, 3] += 0.02
-    with pytest.raises(ModelError, match=r"'l_\w+' is 1\d mm from the mirror image of 'r_\w+', more than 6 mm"):
+    with pytest.raises(ModelError, match=r"'l_\w+' is 20 mm from the mirror image of 'r_\w+', more than 6 mm"):
         anatomy_of(urdf)
 
 
@@ -850,6 +850,31 @@ def y_up(tmp_path: Path) -> Path:
     return written(tmp_path, urdf)
 
 
+def tilted(tmp_path: Path, root: str, turn: np.ndarray) -> Path:
+    """Return a description whose root link is turned by a rotation vector against the robot."""
+    urdf = Urdf.load(SMALL)
+    urdf.reroot(root)
+    angle = float(np.linalg.norm(turn))
+    moved(urdf, urdf.root, at(np.zeros(3), DQ.rotation_about(angle, turn / angle).rotation_matrix()))
+    return written(tmp_path, urdf)
+
+
+def rolled(tmp_path: Path) -> Path:
+    return tilted(tmp_path, "trunk", 0.3 * X)
+
+
+def pitched(tmp_path: Path) -> Path:
+    return tilted(tmp_path, "trunk", 0.3 * Y)
+
+
+def tilted_on_its_face(tmp_path: Path) -> Path:
+    return tilted(tmp_path, "trunk", 1.27 * Y - 0.3 * X + 0.4 * Z)
+
+
+def tilted_foot_as_root(tmp_path: Path) -> Path:
+    return tilted(tmp_path, "r_foot", 0.3 * X - 0.3 * Y)
+
+
 def axes_negated(tmp_path: Path) -> Path:
     urdf = Urdf.load(SMALL)
     for joint in urdf.joints.values():
@@ -892,6 +917,10 @@ PERTURBED: list[tuple[Callable[[Path], Path], str, str]] = [  # what is done, th
     (degrees, "", "can only be degrees"),
     (root_at_the_foot, "", "is in a leg"),
     (y_up, "", ""),
+    (rolled, "", ""),
+    (pitched, "", ""),
+    (tilted_on_its_face, "", ""),
+    (tilted_foot_as_root, "", "is in a leg"),
     (axes_negated, "", ""),
     (narrow_limits, "(no posture was found|cannot be placed over one sole).*; at their limits are", ""),
     (one_leg_longer, "", ""),
@@ -918,6 +947,7 @@ def test_what_people_do_to_a_robot_is_undone_or_named(
     assert found.legs == plain.legs
     assert (found.kinds, found.sideways, found.turns) == (plain.kinds, True, True)
     assert found.leg == pytest.approx(plain.leg, rel=0.02)
+    assert found.apart == pytest.approx(plain.apart, rel=0.02)
     assert any(repair in text for text in [*urdf.repairs, ""])
 
 

@@ -1,0 +1,268 @@
+"""Finds the two legs of a biped, and what is up.
+
+The axes of the root link are not those of the robot: another one may be up, or none if the description has it tilted.
+The plane in which the legs mirror each other shows what is lateral, and level soles below straight legs what is up.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from dqwalk_ros.adopt.legs import axes_differ, leg_of
+from dqwalk_ros.adopt.skeleton import Skeleton
+from dqwalk_ros.adopt.soles import foot_links, plane_below
+from dqwalk_ros.paper.geometry import X, Y, Z
+from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.errors import ModelError
+
+__all__ = ["NoLegsError", "branches", "find_pair", "mirrored"]
+
+
+_NEAR_FLOOR = 0.03
+"""Largest height of a foot above the lowest point, as a fraction of the robot's height."""
+_TOUCHES = 0.006
+"""Largest difference of the lowest points of two bodies that both touch the ground, as a fraction of the height."""
+_ASYMMETRY = 0.02
+"""Tolerance of the symmetry of left and right joints, as a fraction of the length of a leg."""
+_PART = 0.25
+"""Part of an asymmetry, and of its tolerance, below which it does not tell directions apart."""
+_SIDEWAYS = 0.5
+"""Least horizontal part of the way from leg to leg."""
+_LEANS = 0.1
+"""Least angle of soles and legs to an axis of the root link with which this axis is not up [rad]."""
+_AGREE = 0.5
+"""Largest difference of the angles of soles and legs that agree, as a fraction of the lesser one."""
+_UPS = tuple(np.array(rows) for rows in ((X, Y, Z), (Z, X, Y), (Y, Z, X), (Z, -X, -Y), (-Y, Z, -X), (X, -Y, -Z)))
+"""Rotations (3, 3) that make an axis of the root link vertical: z first (REP-103), then the others."""
+
+
+class NoLegsError(ModelError):
+    """No two legs were found, in the tree with the present root link."""
+
+
+def find_pair(plain: Skeleton, given: tuple[str, str]) -> tuple[Skeleton, tuple[str, str]]:
+    """Return the skeleton in axes with z up, and the last joints of the two legs; `given` are the feet, or empty.
+
+    That axis of the root link is next to up with which the legs stand, or else carry the robot at all; z is the first.
+
+    Raises
+    ------
+    ModelError
+        If the robot is not a biped; NoLegsError if it may be one with another root link.
+    """
+    found: list[tuple[Skeleton, tuple[str, str]]] = []
+    problem: ModelError | None = None
+    for up in _UPS:
+        skeleton = plain.turned(up)
+        try:
+            pair = _find_legs(skeleton, given)
+        except ModelError as error:
+            problem = problem or error  # report the error for z up
+            continue
+        skeleton = _upright(skeleton, pair)
+        if _stands(skeleton, pair):
+            return skeleton, pair
+        if problem is None:
+            found.append((skeleton, pair))
+    if found:
+        return found[0]
+    assert problem is not None
+    raise problem
+
+
+def _upright(skeleton: Skeleton, pair: tuple[str, str]) -> Skeleton:
+    """Return the skeleton in axes in which two legs are beside each other, and upright on their soles if they can be.
+
+    Soles alone may be tilted in the zero posture, and legs alone bent: what both agree on is up.
+    """
+    lateral = mirrored(skeleton, *branches(skeleton, *pair))[0]
+    if lateral[2]:
+        skeleton = _with_up(skeleton, Z - lateral[2] * lateral)
+        lateral = np.array([*lateral[:2], 0.0]) / np.linalg.norm(lateral[:2])
+    leaning = []  # of the soles and of the legs, ahead of z
+    for joints in branches(skeleton, *pair):
+        leg, foot = leg_of(*skeleton.lines(joints)), skeleton.points(foot_links(skeleton, joints[-1]))[0]
+        if leg is None or foot is None:
+            return skeleton
+        ways = plane_below(foot)[0], leg.hip - leg.ankle
+        leaning.append([math.atan2(np.cross(lateral, Z) @ -way, way[2]) for way in ways])
+    sole, leg_line = np.mean(leaning, axis=0).tolist()
+    least = min(abs(sole), abs(leg_line))
+    if least < _LEANS or abs(sole - leg_line) > _AGREE * least:
+        return skeleton
+    return _with_up(skeleton, math.cos(sole) * Z - math.sin(sole) * np.cross(lateral, Z))
+
+
+def _with_up(skeleton: Skeleton, up: Array) -> Skeleton:
+    """Return the skeleton turned such that a direction (3,) of its axes is z, by the least angle."""
+    z = up / np.linalg.norm(up)
+    axis = np.cross(z, Z)
+    across = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    return skeleton.turned((np.eye(3) + across + across @ across / (1.0 + z[2])) @ skeleton.turn)  # Rodrigues
+
+
+def _stands(skeleton: Skeleton, pair: tuple[str, str]) -> bool:
+    """Return whether two legs carry the robot in the zero posture: level feet, the CoM above them."""
+    for ankle in pair:
+        found, _ = skeleton.points(foot_links(skeleton, ankle))
+        if found is None or plane_below(found)[0][2] < math.cos(_LEANS):
+            return False
+    feet = 0.5 * (skeleton.place(pair[0]) + skeleton.place(pair[1]))
+    com = skeleton.com(list(skeleton.bodies))
+    way = com - feet
+    return bool(way[2] > 2.0 * math.hypot(way[0], way[1]))
+
+
+def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
+    """Return the last joints of the two legs."""
+    if all(given):
+        a, b = (skeleton.body(link) for link in given)
+        one, two = branches(skeleton, a, b) if a and b else ((), ())
+        if not one or len(one) != len(two) or not mirrored(skeleton, one, two)[0].any():
+            raise ModelError(
+                f"'{given[0]}' and '{given[1]}' cannot be the feet: they are not the ends of two chains of as many "
+                "joints beside each other"
+            )
+        return a, b
+    places = {body: skeleton.points(links)[0] for body, links in skeleton.bodies.items()}
+    lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
+    if not lowest.keys() & skeleton.joints.keys():
+        how = (
+            f"{skeleton.lacking()}: give --package-path of a folder that has its package or the file"
+            if skeleton.lacking()
+            else ": add a box as <collision> to each foot"
+        )
+        raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
+    floor = min(lowest.values())
+    top = max(skeleton.pose(link).translation()[2] for link in skeleton.urdf.links)
+    height = max(top - floor, 1e-3)
+    near = {body for body, z in lowest.items() if z < floor + _NEAR_FLOOR * height}
+    feet = [body for body in near - {""} if not _is_toe(skeleton, body, lowest, floor, height)]
+    feet = [body for body in feet if not any(body in skeleton.way(other)[:-1] for other in feet)]
+    feet = _without_duplicates(skeleton, feet, height)
+    if len(feet) > 2 and all(len(skeleton.way(body)) < 3 for body in feet):
+        raise ModelError(f"the robot is not a biped: {len(feet)} legs reach the ground, with fewer than 3 joints each")
+    long_enough = [body for body in feet if len(skeleton.way(body)) >= 3]
+    apart = {pair: _difference(skeleton, *branches(skeleton, *pair)) for pair in itertools.combinations(long_enough, 2)}
+    pairs = [pair for pair, different in apart.items() if not different]
+    if pairs and not any(_is_below_body(skeleton, branches(skeleton, *pair)) for pair in pairs):
+        raise ModelError(
+            "the robot is not a biped: its lowest limbs are suspended from above the CoM of the rest of it, like arms; "
+            "if they are legs, correct the <origin> of its <inertial>, or name the feet with --left and --right"
+        )
+    if "" in near:
+        raise NoLegsError("the robot is not a biped: it stands on its base, not on legs")
+    if len(long_enough) > 2:
+        raise ModelError(
+            f"the robot is not a biped: {len(long_enough)} legs reach the ground ({', '.join(long_enough)}); "
+            "if it is a biped, name its feet with --left and --right"
+        )
+    if not pairs and len(long_enough) == 1:  # the shape of the other foot may be less deep
+        (foot,) = long_enough
+        others = [body for body in skeleton.joints if foot not in skeleton.way(body) and body not in skeleton.way(foot)]
+        pairs = [(foot, body) for body in others if not _difference(skeleton, *branches(skeleton, foot, body))]
+    if not pairs:
+        if apart:
+            what = next(iter(apart.values()))
+        elif long_enough:
+            what = f"only {', '.join(map(repr, long_enough))} reaches the ground"
+        else:
+            what = "no leg reaches the ground"
+        raise NoLegsError(
+            f"the robot is not a biped: no two chains of joints that mirror each other reach the ground in the zero "
+            f"posture ({what}){skeleton.lacking()}; name its feet with --left and --right"
+        )
+    return pairs[0]
+
+
+def _is_toe(skeleton: Skeleton, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:
+    """Return whether a body is the toe of a foot: both touch the ground, and the joint between them is low."""
+    if len(skeleton.way(body)) < 2:
+        return False
+    foot = skeleton.way(body)[-2]
+    way = skeleton.place(body) - skeleton.place(foot)
+    stands = lowest.get(foot, math.inf) < lowest[body] + _TOUCHES * height
+    low = skeleton.place(body)[2] < floor + 2.0 * _NEAR_FLOOR * height
+    return bool(stands and low and math.hypot(way[0], way[1]) > 0.02 * height)
+
+
+def _without_duplicates(skeleton: Skeleton, feet: list[str], height: float) -> list[str]:
+    """Return one foot of those at the same position: a URDF describes a leg of parallel bars as several chains."""
+    kept: list[str] = []
+    for foot in sorted(feet, key=lambda body: (-skeleton.mass(body), -len(skeleton.way(body)), body)):
+        if all(np.linalg.norm(skeleton.place(foot) - skeleton.place(other)) > 0.03 * height for other in kept):
+            kept.append(foot)
+    return kept
+
+
+def branches(skeleton: Skeleton, a: str, b: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the joints of two chains after their last common joint."""
+    first, second = skeleton.way(a), skeleton.way(b)
+    common = sum(joint in second for joint in first)  # a joint has one way to the root
+    return first[common:], second[common:]
+
+
+def _difference(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> str:
+    """Return how two chains of joints differ that are no mirror images or copies of each other; empty if they are."""
+    if len(one) != len(two):
+        return f"'{one[-1]}' ends a chain of {len(one)} joints, '{two[-1]}' one of {len(two)}"
+    if len(one) < 3:
+        return f"'{one[-1]}' ends a chain of only {len(one)} joints"
+    lateral, off, most = mirrored(skeleton, one, two)
+    if not lateral.any():
+        return f"'{one[-1]}' and '{two[-1]}' are not beside each other"
+    worst = int(np.argmax(off))
+    if off[worst] < most:
+        return ""
+    return (
+        f"'{one[worst]}' is {1e3 * off[worst]:.0f} mm from the mirror image of '{two[worst]}', more than "
+        f"{1e3 * most:.0f} mm"
+    )
+
+
+def mirrored(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> tuple[Array, Array, float]:
+    """Return the lateral direction of two chains of k joints, and how far they are from being mirror images or copies.
+
+    Returns
+    -------
+    lateral : ndarray, shape (3,)
+        Unit vector from `two` to `one`: an axis of the root link unless another horizontal one is much better, and this
+        unless one with a vertical part is; zero if there is none.
+    off : ndarray, shape (k,)
+        Distance of each joint from the image of the other one [m].
+    most : float
+        Tolerance of these distances [m].
+    """
+    (p, a), (q, b) = skeleton.lines(one), skeleton.lines(two)
+    most = max(0.006, _ASYMMETRY * float(np.ptp(np.concatenate([p, q])[:, 2])))
+    way = np.median(p - q, axis=0)
+    level = way * [1.0, 1.0, 0.0]
+    axes = skeleton.pose(skeleton.urdf.root).rotation_matrix().T
+    axis = axes[np.argmax(np.abs(axes @ level))]
+    lateral, off = np.zeros(3), np.full(len(one), math.inf)
+    if np.linalg.norm(level) < max(1e-3, _SIDEWAYS * float(np.linalg.norm(way))):
+        return lateral, off, most
+    for direction in (axis * np.sign(axis @ level) * (abs(axis[2]) < 1e-9), level, way):
+        if not direction.any():
+            continue
+        unit = direction / np.linalg.norm(direction)
+        found = axes_differ(p, a, q, b, unit)
+        if off.max() > _PART * most and found.max() < _PART * off.max():
+            lateral, off = unit, found
+    return lateral, off, most
+
+
+def _is_below_body(skeleton: Skeleton, legs: tuple[tuple[str, ...], tuple[str, ...]]) -> bool:
+    """Return whether the CoM of the rest of the robot is above the hips of these legs."""
+    rest = [body for body in skeleton.bodies if not set(skeleton.way(body)) & {*legs[0], *legs[1]}]
+    hip, ankle = (0.5 * (skeleton.place(legs[0][k]) + skeleton.place(legs[1][k]))[2] for k in (0, -1))
+    found = [leg_of(*skeleton.lines(leg)) for leg in legs]
+    if found[0] and found[1]:
+        hip, ankle = (0.5 * (a + b)[2] for a, b in zip(*((leg.hip, leg.ankle) for leg in found if leg), strict=True))
+    if not sum(map(skeleton.mass, rest)) > 0.0:
+        return True
+    return bool(skeleton.com(rest)[2] > hip - 0.12 * (hip - ankle))
