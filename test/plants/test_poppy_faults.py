@@ -399,6 +399,10 @@ def test_a_motor_that_turns_without_end_loses_its_torque(while_: str) -> None:
     assert rig.memory.angle("l_knee_y") - began < 0.45
     assert "l_knee_y moved away from its goal at full torque, which is now off" in rig.faults
     check_holds(rig)
+    let_goals_switch_on(rig)
+    for part in rig.plant.parts:  # as at the end, and after another joint was blocked
+        rig.plant._send_all(part)
+    assert not rig.memory.torque("l_knee_y")
     with pytest.raises(PlantError, match=r"l_knee_y .*does not turn to positions"):
         rig.plant.activate()
     write(LIMITS, bytes(2) + (4095).to_bytes(2, "little"))
@@ -434,22 +438,42 @@ def test_a_torque_that_does_not_switch_on_is_an_error() -> None:
     servo = rig.memory.servo("l_knee_y")
     write = servo.write
     servo.write = lambda address, data: None if address == TORQUE_ENABLE else write(address, data)
-    with pytest.raises(PlantError, match="the torque of l_knee_y did not switch on: all torque is off again"):
+    with pytest.raises(PlantError, match="the torque of l_knee_y did not switch on: all torque is off"):
         rig.plant.activate()
     assert not rig.plant.active
     assert not any(rig.memory.torque(name) for name in MOTORS)
 
 
+def let_goals_switch_on(rig: Rig) -> None:
+    """Let the servos have a firmware that switches the torque on with each goal."""
+    for servos in rig.memory.servos.values():
+        servos.goals_switch_on = True
+
+
+@pytest.mark.parametrize("goals", [False, True])
 @pytest.mark.parametrize("address", [GAINS, 30, TORQUE_LIMIT])
-def test_a_motor_that_cannot_be_set_up_is_an_error(address: int) -> None:
+def test_a_motor_that_cannot_be_set_up_is_an_error(address: int, goals: bool) -> None:
     rig = Rig(angles={"l_knee_y": 40.0})
+    if goals:
+        let_goals_switch_on(rig)
     servo = rig.memory.servo("l_knee_y")
     write = servo.write
     servo.write(30, (1000).to_bytes(2, "little"))
     servo.write(TORQUE_LIMIT, bytes(2))
     servo.write = lambda at, data: None if at == address else write(at, data)
-    with pytest.raises(PlantError, match="l_knee_y cannot be set up: no torque was switched on"):
+    with pytest.raises(PlantError, match="l_knee_y cannot be set up: all torque is off"):
         rig.plant.activate()
+    assert not any(rig.memory.torque(name) for name in MOTORS)
+
+
+def test_goals_that_are_sent_again_switch_no_torque_on_that_was_switched_off(rig: Rig) -> None:
+    """The goal of a blocked joint is sent some times; the robot fell meanwhile, and its torque was switched off."""
+    let_goals_switch_on(rig)
+    rig.memory.servo("l_knee_y").blocked = True
+    rig.run(0.2, u=0.5)
+    rig.until(lambda: "cannot follow" in rig.faults, 10.0)
+    rig.plant.release()
+    rig.run(1.0, u=0.5)
     assert not any(rig.memory.torque(name) for name in MOTORS)
 
 

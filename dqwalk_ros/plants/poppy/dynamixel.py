@@ -349,6 +349,8 @@ class DynamixelBus:
 
     def _write(self, address: int, data: dict[int, bytes]) -> None:
         """Write registers of servos, by their index on the bus; there is no reply."""
+        if not data:
+            return
         size = len(next(iter(data.values())))
         words = [byte for i, some in data.items() for byte in (self.ids[i], *some)]
         self._guarded(lambda port: self._handler.syncWriteTxOnly(port, address, size, words, len(words)))

@@ -78,7 +78,14 @@ class EmulatedServos:
     ----------
     clock : callable
         Monotonic time [s].
+
+    Attributes
+    ----------
+    goals_switch_on : bool
+        Whether a goal switches the torque of its servo on, as some firmware does.
     """
+
+    goals_switch_on = False
 
     def __init__(self, servos: Sequence[EmulatedServo], clock: Callable[[], float] = time.monotonic) -> None:
         self.servos = {servo.number: servo for servo in servos}
@@ -114,6 +121,8 @@ class EmulatedServos:
         if (servo := self.servos.get(number)) is not None:
             servo.advance(self._clock())
             servo.write(address, data)
+            if self.goals_switch_on and address <= GOAL < address + len(data):
+                servo.write(TORQUE_ENABLE, bytes([1]))
 
     @staticmethod
     def status(number: int, error: int, data: bytes) -> bytes:

@@ -307,9 +307,9 @@ class PoppyPlant(Plant):
         moves = dt > 0.0 and not self.watch.faults and self._law.moves(self._clock())
         if moves:
             self._set_goals(u, effort, dt, moving=command is not None)
-        if moves or self._resend:
+        if moves or (self._resend and self.active):  # a goal switches the torque on
             self._resend = max(self._resend - 1, 0)
-            list(self._each(lambda part: self._send(part, list(range(len(part.places)))), self.parts))
+            list(self._each(self._send_all, self.parts))
         self._time += dt
 
     def _set_goals(self, u: Array, effort: Array | None, dt: float, *, moving: bool) -> None:
@@ -453,12 +453,14 @@ class PoppyPlant(Plant):
             right_gain = self._gain[k] in (registers.gain, -1)
             return registers.torque_limit == FULL_TORQUE and right_gain and registers.goal == goal
 
-        if bad := self._confirm(prepare, prepared):
-            self._law.end()
-            raise PlantError(f"{', '.join(bad)} cannot be set up: no torque was switched on")
-        if bad := self._confirm(lambda part, left: part.bus.write_torque(True, left), lambda _, __, r: r.torque):
-            self.release()
-            raise PlantError(f"the torque of {', '.join(bad)} did not switch on: all torque is off again")
+        text = "{} cannot be set up"
+        if not (bad := self._confirm(prepare, prepared)):
+            text = "the torque of {} did not switch on"
+            bad = self._confirm(lambda part, left: part.bus.write_torque(True, left), lambda _, __, r: r.torque)
+        if bad:
+            on = self._switch_off()  # also what the goals have switched on
+            then = f"that of {', '.join(on)} may be on: switch the power off" if on else "all torque is off"
+            raise PlantError(f"{text.format(', '.join(bad))}: {then}")
 
     def _find_way(self) -> None:
         """Find postures that lead to the first pose without one link touching another."""
@@ -484,12 +486,15 @@ class PoppyPlant(Plant):
         PlantError
             If motors do not confirm that their torque is off; the message names them.
         """
+        if on := self._switch_off():
+            raise PlantError(f"{', '.join(on)} did not confirm that the torque is off: switch the power off")
+
+    def _switch_off(self) -> list[str]:
+        """Switch the torque off, and return the joints that do not confirm it."""
         self.ready = False
         self._law.end()
         self.watch.forget()
-        off = self._confirm(lambda part, left: part.bus.write_torque(False, left), lambda _, __, r: not r.torque)
-        if off:
-            raise PlantError(f"{', '.join(off)} did not confirm that the torque is off: switch the power off")
+        return self._confirm(lambda part, left: part.bus.write_torque(False, left), lambda _, __, r: not r.torque)
 
     def close(self) -> None:
         """Hold the goals, or switch the torque off if `torque_off_at_end` is set; then close the buses in any case.
@@ -505,7 +510,7 @@ class PoppyPlant(Plant):
             elif self.active:  # keep the goals, and move to them at the least speed
                 self._speed[:] = 0.0
                 for part in self.parts:
-                    self._send(part, list(range(len(part.places))))
+                    self._send_all(part)
         finally:
             self._close_buses()
 
@@ -578,6 +583,10 @@ class PoppyPlant(Plant):
             speed = register_speed(math.degrees(self._speed[k]), self._config.max_speed)
             words[i] = (self._table[k].servo(angle), speed)
         part.bus.write_goals(words)
+
+    def _send_all(self, part: Part) -> None:
+        """Send goals and speeds to the motors of a bus, but for those whose torque is off."""
+        self._send(part, np.flatnonzero(~self.measured.runaway[part.places]).tolist())
 
     def _let_go(self, part: Part) -> None:
         """Switch the torque of the joints off that move against it; repeatedly, because a packet may be lost."""
