@@ -404,7 +404,8 @@ class Controller(AnsweringNode):
         drive = self._controller.predictor.watch
         if math.isfinite(drive.delay):
             values |= {"excess delay": drive.delay, "stiffness ratio": drive.stiffness}
-        warning = "; ".join(filter(None, [*drive.warnings(), self._gate.inertial.warning]))
+        feet = self._feet.warning if self._feet is not None else ""
+        warning = "; ".join(filter(None, [*drive.warnings(), self._gate.inertial.warning, feet]))
         return "WARN" if warning else "OK", warning or self._label, values
 
     def _report_progress(self, final: bool = False) -> None:
