@@ -114,7 +114,13 @@ class Controller(AnsweringNode):
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready = True
         self._pausing = False  # the walk comes to a rest, where it is paused
-        self._falls = FallWatch(config, self._model, lambda: self.config.plant.command_timeout, lockstep=self.lockstep)
+        self._falls = FallWatch(
+            config,
+            self._model,
+            lambda: self.config.plant.command_timeout,
+            lockstep=self.lockstep,
+            may_hold=lambda: self._may_hold,
+        )
         self._compute_time = 0.0  # from the last state in to its command out [s]
         self._reported = -float("inf")  # steady time [s]
 

@@ -185,6 +185,8 @@ class FallWatch:
     suspected : str
         What contradicts the commands; until it is confirmed the robot must stand still. Empty if nothing does.
     contradictions : Contradictions
+    may_hold : callable
+        Returns whether the robot may stand still now.
     gives_up : callable
         Gets the index of a joint that does not follow, -1 for none, and returns the indices of those that are commanded
         to hold still instead of moving; empty if the walk must end.
@@ -196,8 +198,16 @@ class FallWatch:
     """Inclination above which an inertial sensor rather measures in another frame [rad]."""
     other_frame = "is the imu's frame NED (z down)? It must be ENU, as REP 103 says (z up)"
 
-    def __init__(self, config: Config, model: RobotModel, timeout: Callable[[], float], *, lockstep: bool) -> None:
-        self._limits, self._timeout, self._lockstep = config.safety, timeout, lockstep
+    def __init__(
+        self,
+        config: Config,
+        model: RobotModel,
+        timeout: Callable[[], float],
+        *,
+        lockstep: bool,
+        may_hold: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._limits, self._timeout, self._lockstep, self.may_hold = config.safety, timeout, lockstep, may_hold
         self.contradictions = Contradictions(config, model, timeout)
         zero = Kinematics(model, np.zeros(model.n), Foot.LEFT)  # in which the sensor's `_upright` points up
         self._upright = np.array([zero.direction(model.imu, axis)[2] for axis in np.eye(3)])
@@ -244,9 +254,12 @@ class FallWatch:
             leaning = lean > 0.5 * self._limits.sole_tilt
             self.suspected = self.contradictions.judge(state, commanded, leaning=leaning)
             self._since = state.time
-            if self.suspected and (given_up := self.gives_up(self.contradictions.joint)).size:
-                self.suspected = ""
-                self.contradictions.forgive(given_up)
+        if not self.suspected:
+            return ""
         # a plant that does not receive the commands holds, and reports this a little later
         waits = 0.0 if self._lockstep else self._timeout() + self.ready_delay
-        return self.suspected if state.time - self._since >= waits else ""
+        confirmed = state.time - self._since >= waits
+        if (confirmed or not self.may_hold()) and (given_up := self.gives_up(self.contradictions.joint)).size:
+            self.suspected = ""
+            self.contradictions.forgive(given_up)
+        return self.suspected if confirmed else ""

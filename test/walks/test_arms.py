@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -533,3 +534,38 @@ def test_an_arm_that_something_blocks_holds_still_and_ends_no_walk(make: Any, ar
     walk(2.0, blocked=True)
     assert [line for _, line in node.log.lines].count(told) == 2
     assert "failed" not in [message.data for message in node.got["phase"]]
+
+
+def test_an_arm_is_not_blamed_for_a_plant_that_holds(make: Any) -> None:
+    """A robot that may stand still waits whether the plant reports that it holds; the arm keeps its command."""
+    from std_msgs.msg import Bool
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    config, periods = CONFIG.updated({"plant.lockstep": False}), itertools.count()
+    node, robot = make("controller", config), KinematicPlant(MODEL, make_walk(config, MODEL).posture)
+
+    def stand(seconds: float, *, holds: bool = False) -> None:
+        for k in itertools.islice(periods, round(seconds / config.dt)):
+            q = robot.state.q.copy()
+            node.exchange(robot, MODEL, 1.0 + config.dt * k)
+            if holds:
+                robot.state.q[:] = q
+
+    stand(0.2)
+    point = JointTrajectoryPoint(positions=[-1.5])
+    point.time_from_start.sec = 2
+    node.send("arm_trajectory", JointTrajectory(joint_names=["l_elbow_y"], points=[point]))
+    stand(1.0)
+    angle = robot.state.q[ELBOW]
+    for _ in range(100):
+        stand(config.dt, holds=True)
+        if node.node._falls.suspected:
+            break
+    assert "l_elbow_y does not follow its commands" in node.node._falls.suspected
+    node.send("plant_ready", Bool(data=False))
+    stand(0.5, holds=True)
+    assert robot.state.q[ELBOW] == angle
+    node.send("plant_ready", Bool(data=True))
+    stand(3.0)
+    assert abs(robot.state.q[ELBOW] + 1.5) < 0.05
+    assert "does not follow" not in node.log
