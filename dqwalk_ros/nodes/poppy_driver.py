@@ -168,7 +168,8 @@ class PoppyDriver(WalkNode):
         if reason and plant.active and not plant.ready:
             self.get_logger().warning(f"not moving to the first pose: {reason}", **throttled())
         if not reason and not plant.active:
-            reason = "the torque is off: call ~/activate"
+            on = "the motors hold where they are, not activated by this driver: call ~/activate, or ~/compliant"
+            reason = on if plant.stiff else "the torque is off: call ~/activate"
         if not reason and not plant.ready:
             reason = "moving to the first pose"
             self.get_logger().info(f"{reason}: {plant.remaining:.2f} rad left", **throttled())
@@ -182,7 +183,7 @@ class PoppyDriver(WalkNode):
 
     def _on_phase(self, msg: String) -> None:
         """Switch the torque off when the robot has fallen; ignore a fall from before this driver was started."""
-        if msg.data == FALLEN and self._plant.active:
+        if msg.data == FALLEN and (self._plant.active or self._plant.stiff):
             self.get_logger().error("the robot has fallen: switching the torque off")
             self._switch(False, SetBool.Response())
 

@@ -411,6 +411,19 @@ def test_the_torque_is_switched_off_after_a_fall_and_on_when_no_motor_is_hot(
     assert all(memory.torque(name) for name in MOTORS)
 
 
+def test_motors_that_an_earlier_driver_left_on_are_not_said_to_be_off(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That driver was killed."""
+    before, memory = driver_node(make, monkeypatch, CONFIG.updated({"poppy.activate": True}))
+    until(before, lambda: before.node._plant.ready)
+    one, _ = driver_node(make, monkeypatch, CONFIG, memory)
+    assert "the motors hold where they are" in one.node._commands.gate.refused
+    one.send("phase", String(data="fallen"))
+    assert not any(memory.torque(name) for name in MOTORS)
+    assert one.node._commands.gate.refused == "the torque is off: call ~/activate"
+
+
 def test_motors_that_have_not_told_their_temperature_do_not_end_the_driver(
     make: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -376,6 +376,11 @@ class PoppyPlant(Plant):
         return self._law.active
 
     @property
+    def stiff(self) -> bool:
+        """Whether a motor had its torque at its last inspection: also one that an earlier driver has left on."""
+        return any(found is not None and found.torque for part in self.parts for found in part.bus.registers)
+
+    @property
     def measured_at(self) -> float:
         """Time at which the oldest of the angles was measured, by the clock of the plant [s]."""
         return self._gate.oldest
