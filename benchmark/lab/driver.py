@@ -28,7 +28,7 @@ import numpy as np
 from benchmark.timing import machine
 from dqwalk_ros.cli.runner import private_domain
 from dqwalk_ros.config import Config, load, overlaid
-from dqwalk_ros.plants.poppy.plant import load_motors
+from dqwalk_ros.plants.poppy.motors import load_motors
 from dqwalk_ros.robot.servos import load_types
 
 FAST = {"gait.step_length": 0.02, "task.eta": 0.5, "ssp.threshold": 0.02}

@@ -72,7 +72,7 @@ def exercise(
     made = exercise_config(config_of(config, changes, plant=plant, params=params), cycles)
     made = made.updated(parse_overrides(changes), source="command line")
     if plant == "poppy":
-        from dqwalk_ros.plants.poppy.plant import load_motors, typed
+        from dqwalk_ros.plants.poppy.motors import load_motors, typed
         from dqwalk_ros.robot.servos import load_types
 
         made = typed(made, load_motors(made.poppy.motors, load_types(made.servo.table)).values())

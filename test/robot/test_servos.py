@@ -67,7 +67,7 @@ def test_voltage_scales_torque_and_speed() -> None:
 
 
 def test_every_poppy_motor_has_the_servo_type_of_the_plant() -> None:
-    from dqwalk_ros.plants.poppy.plant import load_motors
+    from dqwalk_ros.plants.poppy.motors import load_motors
 
     types = load_types("servos")
     motors = load_motors("poppy", types)

@@ -19,7 +19,7 @@ from stepped_time import SteppedTime
 
 from dqwalk_ros.plants.poppy.dynamixel import PRESENT, TORQUE_ENABLE, DynamixelBus
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
-from dqwalk_ros.plants.poppy.plant import Motor, load_motors
+from dqwalk_ros.plants.poppy.motors import Motor, load_motors
 from dqwalk_ros.robot.servos import load_types
 
 TYPES = load_types("servos")

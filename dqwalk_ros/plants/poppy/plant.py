@@ -16,13 +16,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
 
-from dqwalk_ros.config import Config, PoppyConfig, RobotConfig, find_share
+from dqwalk_ros.config import Config, PoppyConfig, RobotConfig
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Plant, checked
 from dqwalk_ros.plants.poppy.dynamixel import (
@@ -36,18 +34,18 @@ from dqwalk_ros.plants.poppy.dynamixel import (
 )
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
+from dqwalk_ros.plants.poppy.motors import Motor, calibration, load_motors, typed
 from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
 from dqwalk_ros.robot.limits import JointLimits
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.servos import Drive, Servos, ServoType, load_types
-from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, PlantError
 
 if TYPE_CHECKING:
     from dqwalk_ros.robot.clearance import Clearance
 
-__all__ = ["Motor", "PoppyPlant", "load_motors", "open_buses", "register_speed", "typed"]
+__all__ = ["PoppyPlant", "open_buses", "register_speed"]
 
 
 MIN_SPEED = 1.4
@@ -63,104 +61,6 @@ _NARROWER = 1.0
 """Angle by which the limits of a servo may be narrower than those of the table [deg]."""
 _ARRIVAL = 3.0
 """Time in which the joints must reach the first pose after their goals [s]."""
-
-
-_Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
-
-
-class Motor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One servo.
-
-    Attributes
-    ----------
-    name : str
-        Name of its joint.
-    id : int
-        Id on the bus.
-    type : str
-        Type in the table of servo types, such as ``MX-28``.
-    bus : str
-        Name of the bus.
-    direct : bool
-        Whether positive angles of the servo are positive angles of the joint.
-    offset : float
-        Offset of the joint angle, see `user` [deg].
-    raw : tuple of float
-        Lower and upper limit of the servo angle [deg].
-    """
-
-    name: str
-    id: Annotated[int, msgspec.Meta(ge=0, le=252)]
-    type: str
-    bus: str
-    direct: bool
-    offset: _Degrees
-    raw: tuple[_Degrees, _Degrees]
-
-    def user(self, raw: float) -> float:
-        """Return the joint angle for a servo angle [deg]."""
-        return (raw if self.direct else -raw) - self.offset
-
-    def servo(self, user: float) -> float:
-        """Return the servo angle for a joint angle [deg]."""
-        return user + self.offset if self.direct else -(user + self.offset)
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Limits of the joint [deg], lower first."""
-        a, b = self.user(self.raw[0]), self.user(self.raw[1])
-        return min(a, b), max(a, b)
-
-
-def load_motors(source: str, types: Mapping[str, ServoType]) -> dict[str, Motor]:
-    """Read a table of motors from a path, or from the file of this name in config/motors/.
-
-    Parameters
-    ----------
-    types : mapping of str to ServoType
-        The known types, see `load_types`.
-
-    Returns
-    -------
-    dict of str to Motor
-        By the name of the joint.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or not a valid table; the message names the motor.
-    """
-    path = Path(source)
-    if not path.is_file():
-        path = find_share("config/motors", f"{source}.yaml" if not path.suffix else source)
-    text = strict_yaml.read_text(path)
-    tree = strict_yaml.read(text, source=str(path))
-    table = tree.get("motors") if isinstance(tree, dict) else None
-    if not isinstance(table, dict) or not table:
-        raise ConfigError(f"{path}: expected 'motors: {{JOINT: {{id, type, bus, direct, offset, raw}}}}'")
-    out: dict[str, Motor] = {}
-    for name, entry in table.items():
-        try:
-            if not isinstance(entry, dict):
-                raise ValueError("expected {id, type, bus, direct, offset, raw}")
-            motor = msgspec.convert(dict(name=str(name), **entry), Motor)
-            if motor.type not in (known := [name for name, kind in types.items() if kind.positions]):
-                raise ValueError(f"the type must be one of {', '.join(known)}")
-            if not motor.raw[0] < motor.raw[1]:
-                raise ValueError("raw must be [lower, upper]")
-            if motor.id in (other.id for other in out.values()):
-                raise ValueError(f"another motor has the id {motor.id}")
-        except (TypeError, ValueError) as error:
-            line = strict_yaml.line_of(text, ("motors", str(name)))
-            raise ConfigError(f"{path}, line {line}: motor '{name}': {error}") from error
-        out[motor.name] = motor
-    return out
-
-
-def typed(config: Config, motors: Iterable[Motor]) -> Config:
-    """Return the configuration with the types of motors as ``servo.types``, unless it has types already."""
-    types = tuple(f"{motor.name}={motor.type}" for motor in motors)
-    return config if config.servo.types else config.updated({"servo.types": types})
 
 
 def register_speed(speed: float, highest: float) -> float:
@@ -223,7 +123,7 @@ class PoppyPlant(Plant):
         self.motors = load_motors(own.motors, types)
         if missing := [name for name in model.joint_names if name not in self.motors]:
             raise ConfigError(f"the motors '{own.motors}' lack {', '.join(missing)} of {model.name}")
-        zero = _calibration(own.calibration, self.motors)
+        zero = calibration(own.calibration, self.motors)
         self.names = (*model.joint_names, *(name for name in self.motors if name not in model.joint_names))
         self._table = [self.motors[name] for name in self.names]
         self._types = [types[motor.type] for motor in self._table]
@@ -638,20 +538,6 @@ def _difference(found: Identity, motor: Motor, kind: ServoType) -> str:
             f"{motor.raw[1]:g}] of the table"
         )
     return ""
-
-
-def _calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[str, float]:
-    """Return the zero offsets of joints [deg] from texts such as ``l_hip_y=-3``."""
-    out = {}
-    for entry in entries:
-        name, _, value = entry.partition("=")
-        try:
-            out[name] = float(value)
-        except ValueError:
-            out[name] = math.nan
-        if name not in motors or not abs(out[name]) <= 45.0:
-            raise ConfigError(f"poppy.calibration: '{entry}' should be JOINT=DEGREES, at most 45, such as l_hip_y=-3")
-    return out
 
 
 def _same_port(one: str, other: str) -> bool:
