@@ -108,11 +108,18 @@ def swaying(joint: str) -> Heard:
     return replace(heard, states=states)
 
 
+def few_imus(every: int) -> Heard:
+    heard = robot()
+    return replace(heard, imus=heard.imus[::every])
+
+
 FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     "silent": (lambda: robot(states=[], publishers=()), "states", "start the driver"),
     "another robot": (lambda: robot(names=["x", *MODEL.joint_names[1:]]), "joints", "joints missing: l_hip_x"),
     "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02 in a file for --params and params:="),
     "clocks": (lambda: robot(age=-3.0), "latency", "chrony"),
+    "slow imu": (lambda: few_imus(15), "inertial sensor", "it measures every 0.075 s: its rate must be 20 Hz"),
+    "one imu message": (lambda: few_imus(1000), "inertial sensor", "all its messages have one stamp"),
     "late": (lambda: robot(age=0.03), "latency", "set servo.assumed_latency in a file for --params"),
     "phase not heard": (lambda: robot(unheard={"phase": ("/controller",)}), "rest", "not heard: /controller publishes"),
     "plant_ready not heard": (
