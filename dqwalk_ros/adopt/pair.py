@@ -128,18 +128,7 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
                 "joints beside each other"
             )
         return a, b
-    places = {body: skeleton.points(links)[0] for body, links in skeleton.bodies.items()}
-    lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
-    if not lowest.keys() & skeleton.joints.keys():
-        how = (
-            f"{skeleton.lacking()}: give --package-path of a folder that has its package or the file"
-            if skeleton.lacking()
-            else ": add a box as <collision> to each foot"
-        )
-        raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{how}")
-    floor = min(lowest.values())
-    top = max(skeleton.pose(link).translation()[2] for link in skeleton.urdf.links)
-    height = max(top - floor, 1e-3)
+    lowest, floor, height = _heights(skeleton)
     near = {body for body, z in lowest.items() if z < floor + _NEAR_FLOOR * height}
     feet = [body for body in near - {""} if not _is_toe(skeleton, body, lowest, floor, height)]
     feet = [body for body in feet if not any(body in skeleton.way(other)[:-1] for other in feet)]
@@ -147,8 +136,8 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
     if len(feet) > 2 and all(len(skeleton.way(body)) < 3 for body in feet):
         raise ModelError(f"the robot is not a biped: {len(feet)} legs reach the ground, with fewer than 3 joints each")
     long_enough = [body for body in feet if len(skeleton.way(body)) >= 3]
-    apart = {pair: _difference(skeleton, *branches(skeleton, *pair)) for pair in itertools.combinations(long_enough, 2)}
-    pairs = [pair for pair, different in apart.items() if not different]
+    found = {pair: _difference(skeleton, *branches(skeleton, *pair)) for pair in itertools.combinations(long_enough, 2)}
+    pairs = [pair for pair, different in found.items() if not different[1]]
     if pairs and not any(_is_below_body(skeleton, branches(skeleton, *pair)) for pair in pairs):
         raise ModelError(
             "the robot is not a biped: its lowest limbs are suspended from above the CoM of the rest of it, like arms; "
@@ -161,22 +150,54 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
             f"the robot is not a biped: {len(long_enough)} legs reach the ground ({', '.join(long_enough)}); "
             "if it is a biped, name its feet with --left and --right"
         )
-    if not pairs and len(long_enough) == 1:  # the shape of the other foot may be less deep
+    if not long_enough:
+        most = max(len(skeleton.way(body)) for body in feet)
+        raise NoLegsError(
+            f"the robot is not a biped: what reaches the ground, {', '.join(map(repr, feet))}, is carried by {most} "
+            "joints at most, too few to keep a sole flat in a walk"
+        )
+    if len(long_enough) == 1:  # the shape of the other foot may be less deep
         (foot,) = long_enough
         others = [body for body in skeleton.joints if foot not in skeleton.way(body) and body not in skeleton.way(foot)]
-        pairs = [(foot, body) for body in others if not _difference(skeleton, *branches(skeleton, foot, body))]
+        found = {(foot, body): _difference(skeleton, *branches(skeleton, foot, body)) for body in others}
+        pairs = [pair for pair, different in found.items() if not different[1]]
     if not pairs:
-        if apart:
-            what = next(iter(apart.values()))
-        elif long_enough:
-            what = f"only {', '.join(map(repr, long_enough))} reaches the ground"
-        else:
-            what = "no leg reaches the ground"
+        least, what = min(found.values(), default=(math.inf, ""))
+        if len(long_enough) == 1 and not math.isfinite(least):
+            what = f"only '{long_enough[0]}' reaches the ground"
         raise NoLegsError(
             f"the robot is not a biped: no two chains of joints that mirror each other reach the ground in the zero "
             f"posture ({what}){skeleton.lacking()}; name its feet with --left and --right"
         )
     return pairs[0]
+
+
+def _heights(skeleton: Skeleton) -> tuple[dict[str, float], float, float]:
+    """Return the height of the lowest point of each body with shapes, of the lowest of all, and of the robot [m].
+
+    Raises
+    ------
+    ModelError
+        If no moving body has a shape, or a joint is below all that have one, so that the feet are not among them.
+    """
+    places = {body: skeleton.points(links)[0] for body, links in skeleton.bodies.items()}
+    lowest = {body: float(p[:, 2].min()) for body, p in places.items() if p is not None}
+    cure = (
+        f"{skeleton.lacking()}: give --package-path of a folder that has its package or the file"
+        if skeleton.lacking()
+        else ": add a box as <collision> to each foot"
+    )
+    if not lowest.keys() & skeleton.joints.keys():
+        raise ModelError(f"no moving part has a shape that can be read, so the soles are unknown{cure}")
+    floor = min(lowest.values())
+    top = max(skeleton.pose(link).translation()[2] for link in skeleton.urdf.links)
+    height = max(top - floor, 1e-3)
+    deepest = min(skeleton.joints, key=lambda joint: float(skeleton.place(joint)[2]))
+    if skeleton.place(deepest)[2] < floor - _NEAR_FLOOR * height:
+        raise ModelError(
+            f"joint '{deepest}' is below all links with a shape that can be read, so the soles are unknown{cure}"
+        )
+    return lowest, floor, height
 
 
 def _is_toe(skeleton: Skeleton, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:
@@ -206,22 +227,18 @@ def branches(skeleton: Skeleton, a: str, b: str) -> tuple[tuple[str, ...], tuple
     return first[common:], second[common:]
 
 
-def _difference(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> str:
-    """Return how two chains of joints differ that are no mirror images or copies of each other; empty if they are."""
+def _difference(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> tuple[float, str]:
+    """Return how much two chains of joints differ, in parts of what is allowed, and how if it is more than that."""
     if len(one) != len(two):
-        return f"'{one[-1]}' ends a chain of {len(one)} joints, '{two[-1]}' one of {len(two)}"
+        return math.inf, f"'{one[-1]}' ends a chain of {len(one)} joints, '{two[-1]}' one of {len(two)}"
     if len(one) < 3:
-        return f"'{one[-1]}' ends a chain of only {len(one)} joints"
+        return math.inf, f"'{one[-1]}' ends a chain of only {len(one)} joints"
     lateral, off, most = mirrored(skeleton, one, two)
     if not lateral.any():
-        return f"'{one[-1]}' and '{two[-1]}' are not beside each other"
-    worst = int(np.argmax(off))
-    if off[worst] < most:
-        return ""
-    return (
-        f"'{one[worst]}' is {1e3 * off[worst]:.0f} mm from the mirror image of '{two[worst]}', more than "
-        f"{1e3 * most:.0f} mm"
-    )
+        return math.inf, f"'{one[-1]}' and '{two[-1]}' are not beside each other"
+    worst = int(np.argmax(off > 0.99 * off.max()))  # the joints below it are as far off
+    what = f"'{one[worst]}' is {1e3 * off[worst]:.0f} mm from the mirror image of '{two[worst]}', more than "
+    return float(off[worst]) / most, f"{what}{1e3 * most:.0f} mm" if off[worst] >= most else ""
 
 
 def mirrored(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> tuple[Array, Array, float]:

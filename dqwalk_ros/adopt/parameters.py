@@ -53,6 +53,8 @@ MOST_STEPS = 30
 """Largest number of steps of the standing walk."""
 YIELDING = 0.03
 """Torque with which a leg resists a force that is not fed forward in the dynamic walk, as a part of m g h."""
+FAR = 3.2
+"""Planned length of the dynamic walk [m]: at least three metres with steps that are 6 % too short."""
 FROUDE = 0.05
 """Speed of the dynamic walk divided by sqrt(g l), with the leg length l."""
 SINGLE, DOUBLE = 0.4, 0.1
@@ -459,7 +461,7 @@ def dynamic_parameters(numbers: Numbers, damping: float, stiffness: float) -> li
     time, length = "as Poppy, scaled by the square root of the leg", "as Poppy, scaled by the leg"
     return [
         Entry("gait.style", "dynamic", "steps of a fixed duration, adjusted to the divergent component of motion"),
-        Entry("gait.steps", 20, "about a metre for a small robot, three for a tall one"),
+        Entry("gait.steps", math.ceil(FAR / step) + Config().dynamic.ramp, f"{FAR:g} m"),
         Entry("gait.step_length", step, f"{speed:.2f} m/s, a Froude number of {FROUDE}"),
         Entry("gait.step_height", rounded(0.02 * size, 2), length),
         Entry("gait.most_length", rounded(1.2 * step, 2), "longest step commanded by cmd_vel"),

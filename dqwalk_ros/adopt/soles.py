@@ -26,6 +26,8 @@ _EVEN = 0.3
 """Least part of the lower side of a foot that is even, within 3 degrees: that of a round foot is small."""
 _UNLIKE, _TILTED = 1.5, math.radians(10.0)
 """Largest ratio of the sizes of two soles, and largest angle between them, that belong to one robot."""
+_OVERLAP = 1.5
+"""Largest width of soles in the zero posture, as a multiple of their lateral distance; narrower ones are set apart."""
 _LEAST_SOLE = 0.045
 """Least length and width of a sole, as a fraction of the distance of hip and ankle."""
 
@@ -79,8 +81,17 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
     ModelError
         If a foot has no shape, or is too small for a flat sole.
     """
-    which, _ = skeleton.complete([foot_links(skeleton, joints[-1]) for joints in legs.values()])
+    feet = [foot_links(skeleton, joints[-1]) for joints in legs.values()]
+    which, _ = skeleton.complete(feet)
     found = {foot: _sole(skeleton, joints[-1], leg, which) for foot, joints in legs.items()}
+    if _overlap(skeleton, found) and all(skeleton.points(links, "visuals")[1] for links in feet):
+        found = {foot: _sole(skeleton, joints[-1], leg, "visuals") for foot, joints in legs.items()}
+    if _overlap(skeleton, found):
+        left, right = (found[foot] for foot in Foot)
+        raise ModelError(
+            f"the soles overlap each other in the zero posture: left {left}, right {right}; are the size and the scale "
+            "of the shapes of the feet right?"
+        )
     for foot, sole in found.items():
         if min(sole.length, sole.width) < _LEAST_SOLE * leg:
             raise ModelError(
@@ -101,6 +112,12 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
         found = {foot: replace(sole, source=sole.source + why, confidence="guess") for foot, sole in found.items()}
     length, width = (min(getattr(sole, key) for sole in found.values()) for key in ("length", "width"))
     return {foot: replace(sole, length=length, width=width) for foot, sole in found.items()}
+
+
+def _overlap(skeleton: Skeleton, found: dict[Foot, FoundSole]) -> bool:
+    """Return whether soles are so much wider than their lateral distance that they cannot be those of one robot."""
+    left, right = (sole.placed(skeleton).translation() for sole in found.values())
+    return bool(min(sole.width for sole in found.values()) > _OVERLAP * abs(left[1] - right[1]))
 
 
 def _turned(left: DQ, right: DQ) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -37,8 +38,8 @@ _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
 _EVERY = 10
 """Number of states of which one is searched for links that touch each other."""
-_YIELDS, _LEADS = 0.4, 0.5
-"""Factors of ``servo.window`` and ``servo.assumed_lead`` that may cure a dynamic walk."""
+_YIELDS, _LEADS, _SHORTER = 0.4, 0.5, 0.7
+"""Factors of ``servo.window``, ``servo.assumed_lead`` and the length of a step that may cure a dynamic walk."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ def dynamic_walks(
     standing: Mapping[str, Any],
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk the dynamic walk in physics; if it falls or its report is not OK, try changes of the servos' commands.
+    """Walk the dynamic walk in physics; if it falls or its report is not OK, change commands of servos, then the steps.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
@@ -143,13 +144,20 @@ def dynamic_walks(
         wrong = "; ".join(text for text in (done.note, too_much(config, model) if done.note else "") if text)
         return replace(done, plant="dynamic walk", note=wrong)
 
-    servo = load(found.folder / "dynamic.yaml").servo
+    config = load(found.folder / "dynamic.yaml")
+    servo, gait = config.servo, config.gait
     yields = {"servo.window": rounded(max(_YIELDS * servo.window, 1e-3), 2)}
     follows = {"servo.assumed_lead": rounded(_LEADS * servo.assumed_lead, 2)}
+    shorter: dict[str, Any] = {
+        f"gait.{key}": rounded(_SHORTER * getattr(gait, key), 2) for key in ("step_length", "most_length")
+    }
+    shorter["gait.steps"] = math.ceil(gait.steps / _SHORTER)
     more, less = f"legs that yield more ({_YIELDS:g} times servo.window)", f"{_LEADS:g} times servo.assumed_lead"
+    short = f"shorter steps ({_SHORTER:g} times gait.step_length)"
     entries, walks = changed(found.entries, standing, "changed after a fall"), list[Trial]()
-    for what, changes in (("", {}), (more, yields), (f"{more}, {less}", yields | follows)):
-        kept = {key: value for key, value in changes.items() if key not in given}
+    for what, changes in (("", {}), (more, yields), (f"{more}, {less}", yields | follows), (short, shorter)):
+        # lengths given by the user are those of the standing walk
+        kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
         if what and not kept:
             continue
         write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)

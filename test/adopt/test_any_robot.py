@@ -146,7 +146,21 @@ def test_the_origin_of_a_joint_along_its_axis_is_arbitrary(joint: str) -> None:
 def test_legs_that_differ_are_refused_with_joint_and_distance(tmp_path: Path) -> None:
     urdf = Urdf.load(SMALL)
     urdf.joints["r_knee"].origin[0, 3] += 0.02
-    with pytest.raises(ModelError, match=r"'l_\w+' is 20 mm from the mirror image of 'r_\w+', more than 6 mm"):
+    with pytest.raises(ModelError, match=r"'l_knee' is 20 mm from the mirror image of 'r_knee', more than 6 mm"):
+        anatomy_of(urdf)
+
+
+def test_of_soles_that_overlap_the_visual_shapes_are_taken(tmp_path: Path) -> None:
+    wide = r'(<collision>\s*<origin xyz="[^"]*"/>\s*<geometry>)<box size="0.1265 0.0825 0.0132"/>'
+    found, plain = anatomy_of(read(tmp_path, (wide, r'\1<box size="0.6 0.4 0.0132"/>'))), anatomy_of(Urdf.load(SMALL))
+    assert found.soles[Foot.LEFT].width == pytest.approx(plain.soles[Foot.LEFT].width)
+    assert found.apart == plain.apart
+
+
+def test_a_leg_that_ends_higher_than_the_other_is_refused_with_joint_and_distance(tmp_path: Path) -> None:
+    urdf = Urdf.load(SMALL)
+    urdf.joints["r_knee"].origin[:3, 3] += [0.1, 0.0, 0.05]
+    with pytest.raises(ModelError, match=r"'l_knee' is 112 mm from the mirror image of 'r_knee', more than 6 mm"):
         anatomy_of(urdf)
 
 
@@ -970,4 +984,4 @@ def test_perturbed_robots_walk(
     perturb: Callable[[Path], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["adopt", str(perturb(tmp_path)), "--out", str(tmp_path / "out"), "--yes", "--quiet"]) == 0
-    assert re.search(r"dynamic walk: walked 0\.\d+ m\n", capsys.readouterr().out)
+    assert re.search(r"dynamic walk: walked 3\.\d+ m\n", capsys.readouterr().out)

@@ -263,4 +263,4 @@ def test_a_robot_from_mjcf_walks(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert cli.main(["adopt", str(SMALL), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"physics: walked 0\.\d+ m\n", out)
-    assert re.search(r"dynamic walk: walked 0\.\d+ m\n", out)
+    assert re.search(r"dynamic walk: walked 3\.\d+ m\n", out)
