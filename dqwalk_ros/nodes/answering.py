@@ -153,6 +153,8 @@ class AnsweringNode(WalkNode):
     def _note(self, stamp: int) -> None:
         """Store the stamp of an accepted state."""
         self._stale = False
+        if wrong := self._gate.velocities.wrong.reason:
+            self.get_logger().warning(wrong, once=True)
         if step := self._gate.stepped:
             self._steps += 1
             self.get_logger().warning(f"the stamps jumped by {step:+.3f} s, a clock was set; the walk continues")

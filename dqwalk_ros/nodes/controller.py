@@ -411,7 +411,8 @@ class Controller(AnsweringNode):
         if math.isfinite(drive.delay):
             values |= {"excess delay": drive.delay, "stiffness ratio": drive.stiffness}
         feet = self._feet.warning if self._feet is not None else ""
-        warning = "; ".join(filter(None, [*drive.warnings(), self._gate.inertial.warning, feet]))
+        gate = self._gate.inertial.warning, self._gate.velocities.wrong.reason
+        warning = "; ".join(filter(None, [*drive.warnings(), *gate, feet]))
         return "WARN" if warning else "OK", warning or self._label, values
 
     def _report_progress(self, final: bool = False) -> None:

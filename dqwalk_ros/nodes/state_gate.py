@@ -173,6 +173,69 @@ def _turned(up: Array, omega: Array, time: float) -> Array:
     return out
 
 
+class VelocityGate:
+    """Decides whether measured joint velocities are used: their integral must be the motion of the angles.
+
+    Those in another unit, of the other sign, or always zero would unbalance the robot, which walks as well without.
+
+    Parameters
+    ----------
+    joint_names : tuple of str
+        The n joints.
+    limit : int
+        Consecutive windows with a wrong integral after which velocities are not used until `reset`.
+
+    Attributes
+    ----------
+    wrong : FaultCounter
+    """
+
+    window = 0.1
+    """Time over which velocities are integrated [s]."""
+    slack, part = 0.02, 0.7
+    """Accepted norm of the difference from the motion [rad], and its part of the larger one of both."""
+
+    def __init__(self, joint_names: tuple[str, ...], limit: int) -> None:
+        self._names, self.wrong = joint_names, FaultCounter(limit)
+        self.reset()
+
+    def reset(self) -> None:
+        """Use velocities until they are wrong."""
+        self.wrong.reset()
+        self._q: Array | None = None  # at the beginning of the window
+        self._dq = self._integral = np.zeros(len(self._names))  # of the last state; since the beginning [rad]
+        self._time = 0.0  # since then [s]
+
+    def use(self, q: Array, dq: Array | None, passed: float) -> Array | None:
+        """Return the velocities (n,) [rad/s] at the angles `q` (n,), `passed` [s] after the last ones, or None."""
+        if dq is None or self.wrong:
+            return None
+        if self._q is None or passed > self.window:
+            self._q, self._integral, self._time = q, np.zeros(len(q)), 0.0
+        else:
+            self._integral = self._integral + 0.5 * passed * (self._dq + dq)
+            self._time += passed
+            if self._time > self.window - 1e-9:
+                self._judge(q - self._q)
+                self._q, self._integral, self._time = q, np.zeros(len(q)), 0.0
+        self._dq = dq
+        return None if self.wrong else dq
+
+    def _judge(self, moved: Array) -> None:
+        """Compare the motion (n,) within a window with the integral of the velocities [rad]."""
+        off = self._integral - moved
+        most = max(float(np.linalg.norm(moved)), float(np.linalg.norm(self._integral)))
+        if not float(np.linalg.norm(off)) <= self.slack + self.part * most:
+            k = int(np.abs(off).argmax())
+            self.wrong.fault(
+                "the velocities of joint_states are not those of the angles, and are not used until ~/reset: "
+                f"{self._names[k]} turned by {moved[k]:.3g} rad in {self._time:.2g} s, "
+                f"and by {self._integral[k]:.3g} rad at its velocity; is that in rad/s?"
+            )
+        elif most > self.slack:
+            self.wrong.good()
+
+
 class StateGate:
     """Decides which measured states a controller accepts, and at what time of the walk.
 
@@ -199,6 +262,7 @@ class StateGate:
     impossible : FaultCounter
         Of states with impossible joint angles or velocities.
     inertial : InertialGate
+    velocities : VelocityGate
     overtaken : int
         Number of states ignored because of their stamp.
     stepped : float
@@ -232,6 +296,7 @@ class StateGate:
         self.impossible = FaultCounter(jumps)
         since = (lambda: math.inf) if by_stamp else (lambda: self.watchdog.age + self.late * dt)
         self.inertial = InertialGate(jumps, timeout, since)
+        self.velocities = VelocityGate(model.joint_names, jumps)
         self.overtaken = 0
         self.reset()
 
@@ -239,6 +304,7 @@ class StateGate:
         """Accept any state next, as the first one."""
         self.impossible.reset()
         self.inertial.reset()
+        self.velocities.reset()
         self.watchdog.starve()
         self._q: Array | None = None
         self._stamp = -1
@@ -287,7 +353,7 @@ class StateGate:
         )
 
     def accept(self, stamp: int, state: State) -> State:
-        """Return a state with the time of the walk, or raise an error and change nothing.
+        """Return a state with the time of the walk, without velocities that are wrong; or raise and change nothing.
 
         Parameters
         ----------
@@ -317,7 +383,7 @@ class StateGate:
             beyond = unreachable(q, self._q, reach, self._speed, self._dt * self._speed)
             if far := named_angles(self._model, np.abs(moved), beyond):
                 raise self._reject(f"a jump that the velocity limits do not allow: {far}")
-        if state.dq is not None:
+        if state.dq is not None and not self.velocities.wrong:
             wrong = unreachable(state.dq, moved / max(passed, self._dt), 1.0, self._speed, 0.0)
             if wrong.any():
                 turning = ", ".join(f"{self._model.joint_names[i]} {state.dq[i]:.3g}" for i in np.flatnonzero(wrong))
@@ -327,7 +393,8 @@ class StateGate:
         self._offset, self.stepped = self._offset + step, 1e-9 * step
         self._q, self._stamp = q, stamp
         self.watchdog.feed()
-        return dataclasses.replace(state, time=self.time_of(stamp))
+        dq = self.velocities.use(q, state.dq, passed)
+        return dataclasses.replace(state, time=self.time_of(stamp), dq=dq)
 
     def time_of(self, stamp: int) -> float:
         """Return the time of the walk [s] of a stamp [ns], by the clock of the last accepted state."""
@@ -393,6 +460,8 @@ class BodyGate(StateGate):
         assert state.dq is not None
         if not all(np.isfinite(part).all() for part in (state.q, state.dq, place, v_base)):
             raise StateError("a number is not finite")
+        if self.velocities.wrong:  # no torque follows from angles alone
+            raise self._reject(self.velocities.wrong.reason)
         for does, rates, most, unit in (
             ("moves", v_base[:3], self.speed, "m/s"),
             ("turns", v_base[3:], self.turn, "rad/s"),

@@ -222,6 +222,47 @@ def test_velocities_of_moving_joints_are_accepted(model: RobotModel, clock: Step
     assert not gate.impossible.count
 
 
+WRONG = {
+    "zero": lambda k, dq, before: 0.0 * dq,
+    "in rpm": lambda k, dq, before: 60.0 / (2.0 * math.pi) * dq,
+    "of the other sign": lambda k, dq, before: -dq,
+    "constant": lambda k, dq, before: 0.0 * dq + 0.7,
+}
+RIGHT = {
+    "exact": lambda k, dq, before: dq,
+    "late by 30 ms": lambda k, dq, before: before(0.03),
+    "noisy": lambda k, dq, before: dq + 0.3 * math.sin(k**2),
+    "wrong once in 0.2 s": lambda k, dq, before: dq if k % 40 else 0.0 * dq + 2.0,
+    "in steps of 0.1 rad/s": lambda k, dq, before: np.round(dq, 1),
+}
+
+
+@pytest.mark.parametrize("kind", [*WRONG, *RIGHT])
+def test_velocities_that_are_not_the_rates_of_the_angles_are_not_used(
+    model: RobotModel, clock: SteppedTime, kind: str
+) -> None:
+    """Such as in another unit: the robot would lose its balance; without velocities it walks as well."""
+    gate, amplitude, used = gate_of(model, clock), 0.1 * np.cos(np.arange(model.n)), []
+
+    def rate(t: float) -> np.ndarray:
+        return amplitude * 6.0 * math.cos(6.0 * t) if t > 0.5 else np.zeros(model.n)  # as a leg that swings
+
+    for k in range(400):
+        t = DT * k
+        given = (WRONG | RIGHT)[kind](k, rate(t), lambda late: rate(t - late))  # noqa: B023
+        q = amplitude * (math.sin(6.0 * t) - math.sin(3.0)) * (t > 0.5)
+        used.append(gate.accept(k * PERIOD, at(q, given)).dq is not None)
+        clock.now += DT
+    if kind in RIGHT:
+        assert all(used)
+        return
+    assert not any(used[round(1.3 / DT) :])
+    assert used == sorted(used, reverse=True)  # never again
+    assert "the velocities of joint_states are not those of the angles" in gate.velocities.wrong.reason
+    gate.reset()
+    assert gate.accept(0, at(q, 0.0 * q)).dq is not None
+
+
 def test_a_joint_without_a_velocity_limit_has_one(model: RobotModel, clock: SteppedTime) -> None:
     free, zero = dataclasses.replace(model, velocity_max=np.full(model.n, np.inf)), np.zeros(model.n)
     gate = gate_of(free, clock)
@@ -591,6 +632,17 @@ def test_a_base_that_moves_too_fast_is_rejected_at_any_time() -> None:
     with pytest.raises(StateError, match="the base jumped by"):
         take(gate, late + PERIOD, **{**state, "place": state["place"] + [1.0, 0.0, 0.0]})
     take(gate, late + PERIOD, **{**state, "place": state["place"] + [0.09, 0.0, 0.0]})
+
+
+def test_a_body_whose_velocities_are_not_the_rates_of_its_angles_is_a_fault() -> None:
+    gate, state = accepted_body()
+    moves = np.clip(0.1 - state["q"], -0.1, 0.1)
+    for k in range(1, 400):
+        if gate.fault:
+            break
+        with contextlib.suppress(StateError):
+            take(gate, k * PERIOD, **{**state, "q": state["q"] + moves * math.sin(0.01 * k)})
+    assert "are not those of the angles" in gate.fault
 
 
 def test_consecutive_jumps_of_the_base_latch() -> None:
