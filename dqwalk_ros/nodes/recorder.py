@@ -73,20 +73,29 @@ class WalkTime:
 class RobotStates:
     """Tells the robot's messages of joint_states from those of a gripper: the commands name the joints of the robot."""
 
-    _HEAD = slice(12, 200)
-    """Bytes of a serialised message behind its stamp, by which messages with the same joints are known [bytes]."""
+    _HEAD, _MOST = slice(12, 200), 100
+    """Bytes of a serialised message behind its stamp, by which messages with the same joints are known, and largest
+    number of them that is remembered."""
 
     def __init__(self) -> None:
+        self._joints: set[str] = set()
         self._reader: ros.JointReader | None = None
-        self._foreign: dict[bytes, bool] = {}  # by the first bytes, which are frame and names
+        self._commands: set[bytes] = set()  # first bytes, which are frame and names
+        self._foreign: dict[bytes, bool] = {}  # by the same of states
 
     def learn(self, raw: bytes) -> bool:
-        """Learn the joints of the robot from its first command; return whether this is the first one."""
-        if self._reader is not None:
+        """Learn the joints of a command; return whether there are new ones."""
+        head = bytes(raw[self._HEAD])
+        if head in self._commands or len(self._commands) >= self._MOST:
             return False
+        self._commands.add(head)
         with contextlib.suppress(StateError):
-            self._reader = ros.JointReader(ros.deserialized(raw, JointState).name)
-        return self._reader is not None
+            if new := {*ros.deserialized(raw, JointState).name} - self._joints:
+                self._joints |= new
+                self._reader = ros.JointReader(sorted(self._joints))
+                self._foreign.clear()
+                return True
+        return False
 
     def is_foreign(self, raw: bytes) -> bool:
         """Return whether a message has joints, but none of the robot, as far as these are known."""
@@ -94,7 +103,7 @@ class RobotStates:
             return False
         head = bytes(raw[self._HEAD])
         if head not in self._foreign:
-            if len(self._foreign) > 100:
+            if len(self._foreign) >= self._MOST:
                 self._foreign.clear()
             try:
                 self._foreign[head] = self._reader.is_foreign(ros.deserialized(raw, JointState))
