@@ -61,6 +61,8 @@ SINGLE, DOUBLE = 0.4, 0.1
 """Durations of single and double support of the dynamic walk with a leg of the length `REFERENCE` [s]."""
 ROTOR = 0.03
 """Inertia of a servo's rotor times its no-load speed, divided by its stall torque [s]; 0.01 to 0.09 in the table."""
+UNKNOWN = 0.5, 6.0
+"""Stall torque, as a part of m g h, and no-load speed [rad/s] of servos without limits in the description."""
 REFERENCE = 0.46
 """Leg length at which the dynamic walk has the lengths and times of Poppy's [m]; Poppy's own hips are 0.42 m high."""
 
@@ -163,8 +165,9 @@ class Numbers:
         usual, model = Config().servo.armature, self.model
         legs = [model.joint_names.index(name) for names in self.anatomy.legs.values() for name in names]
         known = [k for k in legs if math.isfinite(model.effort_max[k] + model.velocity_max[k])]
-        light = [ROTOR * float(model.effort_max[k] / model.velocity_max[k]) for k in known]
-        return rounded(min(usual, float(np.median(light))), 2) if light else usual
+        ratios = [float(model.effort_max[k] / model.velocity_max[k]) for k in known]
+        ratio = float(np.median(ratios)) if ratios else UNKNOWN[0] * self.mgh / UNKNOWN[1]
+        return rounded(min(usual, ROTOR * ratio), 2)
 
     def damping(self, stiffness: float, ratio: float, armature: float) -> float:
         """Return the damping of servos divided by their `stiffness` [s] that gives a swinging leg a damping `ratio`.
@@ -387,7 +390,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
             "guess",
         ),
         *(
-            Entry(f"servo.{key}", n.armature, "0.03 s times effort limit / velocity limit", "guess")
+            Entry(f"servo.{key}", n.armature, "0.03 s times effort limit / velocity limit, or 0.0025 m g h", "guess")
             for key in ("armature", "assumed_armature")
             if n.armature < Config().servo.armature
         ),
