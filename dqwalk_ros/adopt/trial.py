@@ -132,6 +132,8 @@ def dynamic_walks(
 ) -> Iterator[tuple[Trial, str]]:
     """Walk the dynamic walk in physics; if it falls or its report is not OK, change commands of servos, then the steps.
 
+    Shorter steps are tried with the servos of the best of the walks before.
+
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
     Where something is wrong, the `note` also says which joint cannot do the steps.
@@ -160,6 +162,8 @@ def dynamic_walks(
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
         if what and not kept:
             continue
+        if changes is shorter:
+            kept = {**best(walks).changes, **kept}
         write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)
         walks.append(replace(trial(), changes=kept))
         yield walks[-1], what
@@ -237,7 +241,7 @@ def legs_touching(model: RobotModel, q: Array, near: str | os.PathLike[str] = ".
     return (
         f"{'the legs meet' if legs else 'a leg meets another link'} ({worst.replace(', ', ' and ')} in "
         f"{100.0 * pairs[worst] / len(q):.0f} % of the states), which is not simulated: "
-        + ("collision.pairs keeps them apart" if legs else "robot.lock holds an arm further out, as l_shoulder_x=0.25")
+        + ("collision.pairs keeps them apart" if legs else "if that is of an arm, robot.lock holds it further out, as l_shoulder_roll=0.25")
     )
 
 

@@ -286,6 +286,7 @@ FINE, CLOSE, BESIDE, FELL = (
         ([BESIDE, FELL, BESIDE, FELL], (), (1.0, 1.0, 1.0)),
         ([BESIDE, BESIDE, CLOSE, BESIDE], (), (0.4, 0.5, 1.0)),
         ([BESIDE, BESIDE, BESIDE, FINE], ("gait.step_length",), (1.0, 1.0, 0.7)),
+        ([BESIDE, CLOSE, FELL, FINE], (), (0.4, 1.0, 0.7)),
         ([BESIDE, FINE], ("servo.window",), (1.0, 0.5, 1.0)),
     ],
 )
