@@ -241,7 +241,11 @@ def legs_touching(model: RobotModel, q: Array, near: str | os.PathLike[str] = ".
     return (
         f"{'the legs meet' if legs else 'a leg meets another link'} ({worst.replace(', ', ' and ')} in "
         f"{100.0 * pairs[worst] / len(q):.0f} % of the states), which is not simulated: "
-        + ("collision.pairs keeps them apart" if legs else "if that is of an arm, robot.lock holds it further out, as l_shoulder_roll=0.25")
+        + (
+            "collision.pairs keeps them apart"
+            if legs
+            else "if that is of an arm, robot.lock holds it further out, as l_shoulder_roll=0.25"
+        )
     )
 
 
