@@ -227,12 +227,16 @@ WRONG = {
     "in rpm": lambda k, dq, before: 60.0 / (2.0 * math.pi) * dq,
     "of the other sign": lambda k, dq, before: -dq,
     "constant": lambda k, dq, before: 0.0 * dq + 0.7,
+    "too small": lambda k, dq, before: 0.1 * dq,
+    "too large": lambda k, dq, before: 5.0 * dq,
 }
 RIGHT = {
     "exact": lambda k, dq, before: dq,
+    "rather small": lambda k, dq, before: 0.4 * dq,
+    "rather large": lambda k, dq, before: 3.2 * dq,
     "late by 30 ms": lambda k, dq, before: before(0.03),
     "noisy": lambda k, dq, before: dq + 0.3 * math.sin(k**2),
-    "wrong once in 0.2 s": lambda k, dq, before: dq if k % 40 else 0.0 * dq + 2.0,
+    "wrong once in 0.2 s": lambda k, dq, before: dq if k % 40 != 10 else 0.0 * dq + 6.0,
     "in steps of 0.1 rad/s": lambda k, dq, before: np.round(dq, 1),
 }
 
@@ -245,18 +249,18 @@ def test_velocities_that_are_not_the_rates_of_the_angles_are_not_used(
     gate, amplitude, used = gate_of(model, clock), 0.1 * np.cos(np.arange(model.n)), []
 
     def rate(t: float) -> np.ndarray:
-        return amplitude * 6.0 * math.cos(6.0 * t) if t > 0.5 else np.zeros(model.n)  # as a leg that swings
+        return amplitude * 6.0 * math.cos(6.0 * t) if t > 1.0 else np.zeros(model.n)  # as a leg that swings
 
     for k in range(400):
         t = DT * k
         given = (WRONG | RIGHT)[kind](k, rate(t), lambda late: rate(t - late))  # noqa: B023
-        q = amplitude * (math.sin(6.0 * t) - math.sin(3.0)) * (t > 0.5)
+        q = amplitude * (math.sin(6.0 * t) - math.sin(6.0)) * (t > 1.0)
         used.append(gate.accept(k * PERIOD, at(q, given)).dq is not None)
         clock.now += DT
     if kind in RIGHT:
         assert all(used)
         return
-    assert not any(used[round(1.3 / DT) :])
+    assert not any(used[round(1.8 / DT) :])
     assert used == sorted(used, reverse=True)  # never again
     assert "the velocities of joint_states are not those of the angles" in gate.velocities.wrong.reason
     gate.reset()
