@@ -230,7 +230,8 @@ class Recorder(WalkNode):
             topic = _ALL.get(name) or self._others[name]
             self._connections[name] = connect(self._writer, self.resolve_topic_name(topic.name), topic)
         self._writer.write(self._connections[name], stamp, raw)
-        self._counts[name] = self._counts.get(name, 0) + 1
+        what = f"{name} of other joints" if name == "joint_states" and self._robot.is_foreign(raw) else name
+        self._counts[what] = self._counts.get(what, 0) + 1
 
     def _flush(self) -> None:
         try:

@@ -102,6 +102,8 @@ def test_the_states_of_a_gripper_are_recorded_but_tell_no_time(make: Any, tmp_pa
         one.send("phase_log", bytes(serialize_message(String(data=str(k)))))
     assert not any(one.node._missing.values())
     one.node.close()
+    assert "joint_states 100, " in one.log
+    assert "joint_states of other joints 20" in one.log
     columns = load_bag(tmp_path / "bag", lambda name, kind: True).columns
     assert len(columns["/joint_states"].raws) == 120
     expected = np.round(1e9 * stamps).astype(np.int64)
