@@ -141,7 +141,7 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
     if pairs and not any(_is_below_body(skeleton, branches(skeleton, *pair)) for pair in pairs):
         raise ModelError(
             "the robot is not a biped: its lowest limbs are suspended from above the CoM of the rest of it, like arms; "
-            "if they are legs, correct the <origin> of its <inertial>, or name the feet with --left and --right"
+            "if they are legs, correct mass and <origin> in its <inertial>, or name the feet with --left and --right"
         )
     if "" in near:
         raise NoLegsError("the robot is not a biped: it stands on its base, not on legs")
