@@ -358,7 +358,8 @@ def _primitive(kind: str, size: Sequence[float]) -> tuple[Array, NDArray[np.int6
     if kind == "box":
         mesh = make.box(size)
     elif kind == "sphere":
-        mesh = make.icosphere(subdivisions=2, radius=size[0])
+        mesh = make.icosphere(subdivisions=2)
+        mesh.vertices *= size[0]  # which is zero where a description gives points of contact
     else:
         mesh = make.cylinder(radius=size[0], height=size[1])
     return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)

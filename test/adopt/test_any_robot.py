@@ -157,6 +157,22 @@ def test_of_soles_that_overlap_the_visual_shapes_are_taken(tmp_path: Path) -> No
     assert found.apart == plain.apart
 
 
+def test_points_of_contact_span_a_sole(tmp_path: Path) -> None:
+    def points(box: re.Match[str]) -> str:
+        x, y, z = map(float, box[1].split())
+        corners = [(x + a * 0.06325, y + b * 0.04125, z - 0.0066) for a in (-1, 1) for b in (-1, 1)]
+        geometry = '<geometry><sphere radius="0.0"/></geometry>'
+        return "".join(f'<collision><origin xyz="{a} {b} {c}"/>{geometry}</collision>' for a, b, c in corners)
+
+    foot = rf'<collision>\s*<origin xyz="([^"]*)"/>\s*<geometry>{FOOT_BOX}</geometry>\s*</collision>'
+    path = tmp_path / "points.urdf"
+    path.write_text(re.sub(foot, points, SMALL.read_text()))
+    found, plain = (anatomy_of(Urdf.load(file)).soles[Foot.LEFT] for file in (path, SMALL))
+    assert (found.length, found.width) == pytest.approx((plain.length, plain.width), rel=0.01)
+    np.testing.assert_allclose(found.pose.translation(), plain.pose.translation(), atol=1e-3)
+    assert "collision" in found.source
+
+
 def test_a_leg_that_ends_higher_than_the_other_is_refused_with_joint_and_distance(tmp_path: Path) -> None:
     urdf = Urdf.load(SMALL)
     urdf.joints["r_knee"].origin[:3, 3] += [0.1, 0.0, 0.05]
