@@ -16,12 +16,17 @@ _LAST_DOMAIN = 232
 
 
 def check_ros_environment(environment: Mapping[str, str] = os.environ) -> None:
-    """Raise ConfigError if a node cannot start with ROS_DOMAIN_ID or RMW_IMPLEMENTATION as they are set."""
+    """Raise ConfigError if a node cannot start, or hears no other, with the environment variables of ROS as set."""
     domain, rmw = environment.get("ROS_DOMAIN_ID", ""), environment.get("RMW_IMPLEMENTATION", "")
     if domain and not (domain.isdecimal() and len(domain) < 10 and int(domain) <= _LAST_DOMAIN):
         raise ConfigError(
             f"the environment variable ROS_DOMAIN_ID is {domain!r:.40}; set it to a whole number from 0 to "
             f"{_LAST_DOMAIN}, or unset it"
+        )
+    if environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "OFF" and environment.get("ROS_LOCALHOST_ONLY") != "1":
+        raise ConfigError(
+            "the environment variable ROS_AUTOMATIC_DISCOVERY_RANGE is OFF, so no node hears another one, not even on "
+            "this machine; set it to LOCALHOST or SUBNET, or unset it"
         )
     known = _middlewares(environment)
     if rmw and known and rmw not in known:

@@ -27,6 +27,14 @@ def test_a_domain_that_there_is_not_is_named(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_nodes_that_would_not_hear_each_other_are_refused() -> None:
+    """They waited for three minutes, and the last line of the controller's log was said to be the cause."""
+    with pytest.raises(ConfigError, match=r"ROS_AUTOMATIC_DISCOVERY_RANGE is OFF, so no node hears another"):
+        check_ros_environment({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"})
+    check_ros_environment({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
+    check_ros_environment({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_LOCALHOST_ONLY": "1"})
+
+
 def test_a_middleware_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     index = tmp_path / "share/ament_index/resource_index/rmw_typesupport"
     index.mkdir(parents=True)
