@@ -123,6 +123,8 @@ def find_anatomy(
         slides = [joint.name for joint in urdf.joints.values() if joint.type == "prismatic"]
         more = f"; '{slides[0]}' is prismatic, and linear joints do not move in a walk" if slides else ""
         fixed = sum("has no range" in repair for repair in urdf.repairs)
+        welded = sum(joint.type == "fixed" for joint in urdf.joints.values())
+        more += f"; {welded} joints are of the type 'fixed'" if welded else ""
         more += f"; {fixed} joints have no range, their lower and upper limits are equal" if fixed else ""
         raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints{more}")
     check_sizes(plain, shapes)

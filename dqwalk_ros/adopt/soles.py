@@ -147,7 +147,8 @@ def _sole(skeleton: Skeleton, ankle: str, leg: float, which: str) -> FoundSole:
     foot = skeleton.joints[ankle].child
     if p is None:
         raise ModelError(
-            f"the foot '{foot}' has no shape that can be read, so its sole is unknown{skeleton.lacking(links)}"
+            f"the foot '{foot}' has no shape that can be read, so its sole is unknown{skeleton.lacking(links)}: "
+            "add a box to it as <collision>"
         )
     normal, level, even = plane_below(p)
     near = p[(p - level) @ normal < min(_FLAT, 0.02 * leg)]
