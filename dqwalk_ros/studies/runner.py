@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import itertools
+import logging
+import multiprocessing
 import os
 import random
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -157,13 +160,12 @@ def run(
     StudyError
         If an outcome cannot be saved, or after Ctrl-C, SIGTERM or SIGHUP; the outcomes until then remain in the store.
     """
-    from joblib import Parallel, delayed
-
     missing = [index for index in range(len(store.points)) if index not in store.done]
     random.Random(0).shuffle(missing)
-    with contextlib.closing(store), _backend(scheduler), contextlib.suppress(KeyboardInterrupt), as_ctrl_c():
-        parallel = Parallel(n_jobs=-1 if scheduler else jobs, return_as="generator_unordered", batch_size=1)
-        for index, outcome in parallel(delayed(_numbered)(task, index, store.points[index]) for index in missing):
+    walks = [(task, index, store.points[index]) for index in missing]
+    outcomes = _outcomes(walks, jobs, scheduler)
+    with contextlib.closing(store), contextlib.suppress(KeyboardInterrupt), as_ctrl_c(), contextlib.closing(outcomes):
+        for index, outcome in outcomes:
             store.add(index, outcome)
             if progress is not None:
                 progress(len(store.done), len(store.points), outcome)
@@ -181,6 +183,28 @@ def _unlinked(path: Path) -> int:
 
 def _numbered(task: Callable[[int, Point], Outcome], index: int, point: Point) -> tuple[int, Outcome]:
     return index, task(index, point)
+
+
+def _outcomes(walks: Sequence[Any], jobs: int, scheduler: str | None) -> Generator[tuple[int, Any], None, None]:
+    """Yield index and outcome of each of some walks (task, index, point), as soon as it is done."""
+    if scheduler is None and (why := _no_semaphore()):
+        logging.getLogger("dqwalk_ros").warning(f"the walks run one after the other: {why}; is /dev/shm writable?")
+        yield from itertools.starmap(_numbered, walks)
+        return
+    from joblib import Parallel, delayed
+
+    with _backend(scheduler):
+        parallel = Parallel(n_jobs=-1 if scheduler else jobs, return_as="generator_unordered", batch_size=1)
+        yield from parallel(delayed(_numbered)(*walk) for walk in walks)
+
+
+def _no_semaphore() -> str:
+    """Return why processes cannot share a semaphore, which parallel ones need; empty if they can."""
+    try:
+        multiprocessing.get_context("spawn").Semaphore()
+    except (ImportError, OSError) as error:
+        return str(error)
+    return ""
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import itertools
 import json
@@ -280,6 +281,19 @@ def test_the_walk_of_a_damaged_line_is_repeated(tmp_path, line):
     with_all = Store(path, "me", POINTS, Number)
     assert with_all.done == done
     with_all.close()
+
+
+def test_without_semaphores_the_walks_run_one_after_the_other(tmp_path, monkeypatch, caplog):
+    """In a container whose /dev/shm cannot be written, joblib ended in an AssertionError."""
+
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("_multiprocessing.SemLock", refuse)
+    monkeypatch.setitem(sys.modules, "joblib", None)  # must not be asked
+    done = run(square, Store(tmp_path / "walks.jsonl", "me", POINTS, Number), jobs=2)
+    assert [done[k].square for k in range(5)] == [0.0, 1.0, 4.0, 9.0, 16.0]
+    assert "one after the other: [Errno 30] Read-only file system; is /dev/shm writable?" in caplog.text
 
 
 def test_a_store_has_one_study_and_one_writer(tmp_path):
