@@ -289,7 +289,7 @@ def test_without_semaphores_the_walks_run_one_after_the_other(tmp_path, monkeypa
     def refuse(*_, **__):
         raise OSError(errno.EROFS, "Read-only file system")
 
-    monkeypatch.setattr("_multiprocessing.SemLock", refuse)
+    monkeypatch.setattr("multiprocessing.synchronize._multiprocessing.SemLock", refuse)
     monkeypatch.setitem(sys.modules, "joblib", None)  # must not be asked
     done = run(square, Store(tmp_path / "walks.jsonl", "me", POINTS, Number), jobs=2)
     assert [done[k].square for k in range(5)] == [0.0, 1.0, 4.0, 9.0, 16.0]
