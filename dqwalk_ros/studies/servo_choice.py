@@ -140,34 +140,62 @@ def step(config: Config, model: RobotModel, gait: Gait) -> Step:
     posture = model.posture(config.standing.posture)
     still = Kinematics(model, posture, Foot.LEFT)
     beside = DQ(Footsteps(config, model, posture).beside(Foot.LEFT))
-    swing, pelvis, height = still.swing, DQ(still.pose(model.pelvis)), float(still.com[2]) - gait.lower
-    center = model.soles[Foot.LEFT].center
-    other = beside.transform_point(model.soles[Foot.RIGHT].center)
     t = np.linspace(-0.5, 0.5, _SAMPLES) * gait.duration
+    q, stuck, off = _reached(still, beside, *_paths(still, beside, gait, t))
+    states = [Kinematics(model, angles, Foot.LEFT) for angles in q]
+    places = [
+        [DQ(x).transform_point(c) for x, c in zip(kin.poses, kin.tree.links[:, 12:15], strict=True)] for kin in states
+    ]
+    motion, place = CubicSpline(t, q), CubicSpline(t, np.array(places))
+    early, late = (np.clip(t + side * _BLUR * gait.single, t[0], t[-1]) for side in (-0.5, 0.5))
+
+    def rate_of(of: CubicSpline, order: int) -> Array:
+        """Return the mean of the derivative of a trajectory of `order` over the time around each sample."""
+        mean: Array = (of(late, order - 1) - of(early, order - 1)) / (late - early).reshape(-1, *[1] * (of.c.ndim - 2))
+        return mean
+
+    up = np.array([math.sin(gait.slope), 0.0, math.cos(gait.slope)])
+    force = model.mass * still.tree.links[:, 11, None] * (rate_of(place, 2) + GRAVITY * up)
+    line = np.array([kin.lines for kin in states])
+    columns = np.cross(line[:, None, :, :3], place(t)[:, :, None, :]) + line[:, None, :, 3:]
+    torque = np.einsum("kbjx,kbx,bj->kj", columns, force, still.tree.moves)
+    return Step(q, rate_of(motion, 1), rate_of(motion, 2), torque, stuck, off)
+
+
+def _paths(still: Kinematics, beside: DQ, gait: Gait, t: Array) -> tuple[Array, Array]:
+    """Return the CoM and the position of the swing sole at the times `t` (N,) of a step, shape (N, 3) each [m].
+
+    `still` is the robot in its posture, and `beside` the pose of the right sole beside the left one.
+    """
+    soles, height = still.model.soles, float(still.com[2]) - gait.lower
+    center, other = soles[Foot.LEFT].center, beside.transform_point(soles[Foot.RIGHT].center)
     rate = math.sqrt(GRAVITY / height)
     half = 0.5 * rate * gait.duration
-    com = np.zeros((_SAMPLES, 3))
+    com = np.zeros((len(t), 3))
     com[:, 0] = center[0] + height * math.tan(gait.slope) + 0.5 * gait.length * np.sinh(rate * t) / math.sinh(half)
     com[:, 1] = center[1] + 0.5 * (other - center)[1] * np.cosh(rate * t) / math.cosh(half)
     com[:, 2] = height
     start, goal = (DQ.from_pose([sign * gait.length, 0.0, 0.0]) * beside for sign in (-1.0, 1.0))
-    path = Swing(start.vec8(), goal.vec8(), gait.height, 0.0)
-    foot = np.array([path.step(min(max(x + 0.5 * gait.single, 0.0), gait.single), gait.single)[0][:3] for x in t])
+    path, single = Swing(start.vec8(), goal.vec8(), gait.height, 0.0), gait.single
+    return com, np.array([path.step(min(max(x + 0.5 * single, 0.0), single), single)[0][:3] for x in t])
 
-    n, tree, q, stuck = model.n, still.tree, posture.copy(), set[str]()
-    legs = [joint for pair in leg_pairs(model) for joint in pair]
+
+def _reached(still: Kinematics, beside: DQ, com: Array, foot: Array) -> tuple[Array, tuple[str, ...], float]:
+    """Return the angles (N, n) [rad] that follow the paths of `_paths`, and `Step.stuck` and `Step.off` of them."""
+    model, swing, height = still.model, still.swing, float(com[0, 2])
+    pelvis, n, q, stuck, off = DQ(still.pose(model.pelvis)), model.n, still.q, set[str](), 0.0
     keep = np.full(n, (_TRUNK * height) ** 2)
-    keep[legs] = (_POSTURE * height) ** 2
-    found, lines, places, off = np.empty((_SAMPLES, n)), [], [], 0.0
-    for k in range(_SAMPLES):
-        last = q.copy()
+    keep[[joint for pair in leg_pairs(model) for joint in pair]] = (_POSTURE * height) ** 2
+    found = np.empty((len(com), n))
+    for k, (middle, sole) in enumerate(zip(com, foot, strict=True)):
+        last = q
         for _ in range(_ITERATIONS):
             kin = Kinematics(model, q, Foot.LEFT)
             x = DQ(kin.pose(swing))
             e = np.concatenate([
-                x.translation() - foot[k],
+                x.translation() - sole,
                 height * (x * beside.conj()).rotation_vector(),
-                kin.com - com[k],
+                kin.com - middle,
                 height * (DQ(kin.pose(model.pelvis)) * pelvis.conj()).rotation_vector(),
             ])  # fmt: skip
             J = np.concatenate([
@@ -180,29 +208,12 @@ def step(config: Config, model: RobotModel, gait: Gait) -> Step:
             change, q = moved - q, moved
             if np.abs(change).max() < 1e-5:
                 break
-        kin = Kinematics(model, q, Foot.LEFT)
         if np.abs(e[_NEEDED]).max() > _OFF * height:
             off = max(off, float(np.abs(e[_NEEDED]).max()))
             at = (q <= model.q_min + 1e-6) | (q >= model.q_max - 1e-6)
             stuck |= {name for name, there in zip(model.joint_names, at, strict=True) if there}
         found[k] = q
-        lines.append(kin.lines.copy())
-        places.append([DQ(x).transform_point(c) for x, c in zip(kin.poses, tree.links[:, 12:15], strict=True)])
-
-    motion, place = CubicSpline(t, found), CubicSpline(t, np.array(places))
-    early, late = (np.clip(t + side * _BLUR * gait.single, t[0], t[-1]) for side in (-0.5, 0.5))
-
-    def rate_of(of: CubicSpline, order: int) -> Array:
-        """Return the mean of the derivative of a trajectory of `order` over the time around each sample."""
-        mean: Array = (of(late, order - 1) - of(early, order - 1)) / (late - early).reshape(-1, *[1] * (of.c.ndim - 2))
-        return mean
-
-    up = np.array([math.sin(gait.slope), 0.0, math.cos(gait.slope)])
-    force = model.mass * tree.links[:, 11, None] * (rate_of(place, 2) + GRAVITY * up)
-    line = np.array(lines)
-    columns = np.cross(line[:, None, :, :3], place(t)[:, :, None, :]) + line[:, None, :, 3:]
-    torque = np.einsum("kbjx,kbx,bj->kj", columns, force, tree.moves)
-    return Step(found, rate_of(motion, 1), rate_of(motion, 2), torque, tuple(sorted(stuck)), off)
+    return found, tuple(sorted(stuck)), off
 
 
 def largest_loads(servos: Servos, motion: Step) -> Array:
