@@ -12,12 +12,12 @@ import numpy as np
 
 from dqwalk_ros.paper.constraints import pose_error
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.features import Affine, CenterOfMassOnGround, Feature, Point, Rotation
+from dqwalk_ros.paper.features import Affine, CenterOfMassOnGround, Feature, JointAngles, Point, Rotation
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["ComPath", "Follow", "FollowPose", "SwingPath", "Target", "com_path", "minimum_jerk"]
+__all__ = ["AtRest", "ComPath", "Follow", "FollowPose", "SwingPath", "Target", "com_path", "minimum_jerk"]
 
 
 @jit
@@ -227,6 +227,38 @@ class Follow(Affine, Task):
     def parameters(self) -> Array:
         """Target and A, shape (2 k + k m,)."""
         return np.concatenate([self.live, self.A.ravel()])
+
+
+@dataclass(frozen=True, kw_only=True)
+class AtRest(Affine, Task):
+    """Task that keeps joints at rest where they are, while it is on; at first it is off.
+
+    Attributes
+    ----------
+    selects : ndarray, shape (k, n)
+        The rows of the identity for the joints.
+    """
+
+    selects: Array
+    eta: float | None = 0.0
+    watches = (JointAngles(),)
+
+    def __post_init__(self) -> None:
+        self.switch(False)
+
+    @property
+    def A(self) -> Array:
+        """The selected joints, shape (k, n)."""
+        return self.selects
+
+    @property
+    def live(self) -> Array:
+        """All parameters."""
+        return self.parameters
+
+    def switch(self, on: bool) -> None:
+        """Switch the task on, or off: then its rows are zero."""
+        self.parameters[2 * len(self.selects) :] = on * self.selects.ravel()
 
 
 @jit

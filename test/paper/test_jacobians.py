@@ -133,6 +133,7 @@ def examples(model, foot):
         "ComPath.start": np.array([0.01, 0.02]),
         "feature": CenterOfMassOnGround(),
         "selects": np.array([[1.0, 0.0], [0.5, 2.0]]),
+        "AtRest.selects": np.eye(2, model.n),
         "Follow.target": Target(np.array([0.01, 0.02]), np.array([0.1, 0.0])),
         "FollowPose.target": Target(np.array([*target.translation(), *target.vec8()[:4]]), np.zeros(6)),
         # the CoM, so that more than one branch of a constraint on points is tested

@@ -37,7 +37,7 @@ from dqwalk_ros.walks.dynamic.ground import Ground
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Climb, Swing
-from dqwalk_ros.walks.following import Follow, FollowPose, Target
+from dqwalk_ros.walks.following import AtRest, Follow, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
 from dqwalk_ros.walks.footsteps import Carried, stair_height
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
@@ -69,8 +69,8 @@ and with all of it a bus at 50 Hz tilts the soles."""
 _DOWN_AHEAD = 1.4
 """Multiple of the delay less a period by which the path of a swing foot ends early; with less the leg still moves when
 the foot lands."""
-_LATERAL = 0.9
-"""Least lateral part of the axis of a joint that pitches the trunk."""
+_ALONG = 0.9
+"""Least part along x or y of the axis of a joint that rolls or pitches the trunk."""
 _SHIFT = 0.1
 """Part of the way between the soles by which the CoM is before their middle when a foot lands, and behind it when the
 other one lifts off."""
@@ -129,7 +129,8 @@ class DynamicWalk(SteppingWalk):
         self._force = GRAVITY * Z
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
         kin = Kinematics(model, self.posture, self._first)
-        self._height, self._trunk = float(kin.com[2]), _pitching(kin)  # height of the CoM in the posture [m]
+        self._height = float(kin.com[2])  # of the CoM in the posture [m]
+        self._roll_joints, self._pitch_joints = _trunk(kin)
         self._climb = Climb(0.0, 0.0, 1.0)  # of the CoM over its height in the posture
         self.pendulum: InvertedPendulum
         self._inertia: dict[Foot, Array]  # (n, n) of the swing leg with its rotors, for each base sole [kg m^2]
@@ -142,6 +143,7 @@ class DynamicWalk(SteppingWalk):
         self._rests = False  # whether a stance has brought the CoM to rest
         self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
+        self._trunk_roll: AtRest | None = None
         self._soles: Soles
         self._legs: Mask  # (n,), whether a joint is between the base sole and the pelvis
 
@@ -296,9 +298,13 @@ class DynamicWalk(SteppingWalk):
         return Follow(name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, eta=d.com_rate)
 
     def _held_upright(self) -> tuple[Task, ...]:
-        """Return the tasks that keep the height of the CoM, the pelvis upright, and the trunk from pitching."""
+        """Return the tasks that keep the height of the CoM, the pelvis upright, and the trunk from turning against it.
+
+        A trunk that rolls moves the CoM sideways with little motion of the legs. While a push is caught, it would be
+        thrown against the push and tip the sole further.
+        """
         d = self.config.dynamic
-        tasks = [
+        tasks: list[Task] = [
             Follow(
                 name="height",
                 weight=d.height_weight,
@@ -316,18 +322,20 @@ class DynamicWalk(SteppingWalk):
                 eta=d.upright_rate,
             ),
         ]
-        if d.trunk_weight > 0.0 and len(self._trunk):
-            joints = self._trunk
+        held, eye = d.trunk_weight > 0.0, np.eye(self.model.n)
+        if held and len(joints := self._pitch_joints):
             tasks.append(
                 Follow(
                     name="trunk",
                     weight=d.trunk_weight,
                     feature=JointAngles(),
-                    selects=np.eye(self.model.n)[joints],
+                    selects=eye[joints],
                     target=Target(self.posture[joints], np.zeros(len(joints))),
                     eta=d.upright_rate,
                 )
             )
+        if held and len(joints := self._roll_joints):
+            tasks.append(AtRest(name="trunk_roll", weight=d.trunk_weight, selects=eye[joints]))
         return tuple(tasks)
 
     # ------------------------------------------------------------------ update for every state
@@ -380,7 +388,15 @@ class DynamicWalk(SteppingWalk):
         above, rising = self._climb.at(t + ahead)
         self._targets["height"].set(self._height + above, rising)
         self._targets["upright"].set(up[:2], 0.0)
+        if self._trunk_roll is not None:
+            self._trunk_roll.switch(self._catches(phase))
         return change
+
+    def _catches(self, phase: Phase) -> bool:
+        """Return whether a push is caught: a step is adjusted, or it has been before this double support."""
+        if self._flight is not None:
+            return self._flight.lost >= self._confirmed
+        return self._pushed and phase.kind is PhaseKind.DOUBLE_SUPPORT
 
     def _keep_on_ground(self, phase: Phase, least: Array, up: Array) -> None:
         """Hold the foot that has landed in the plane of the ground while the base sole, which was tipped, comes down.
@@ -470,6 +486,7 @@ class DynamicWalk(SteppingWalk):
             self._now.change_base(other)
             self._climb.end += level  # over the new base sole
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
+        self._trunk_roll = next((task for task in phase.tasks if isinstance(task, AtRest)), None)
         landed = before is not None and before.kind is PhaseKind.SINGLE_SUPPORT and before.base is phase.base
         self._tipped = kin.up if landed and self._ground.inclination(kin.up) > _TIPPED else None
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
@@ -595,14 +612,15 @@ class DynamicWalk(SteppingWalk):
         self._commanded, self._u = time, u
 
 
-def _pitching(kin: Kinematics) -> NDArray[np.intp]:
-    """Return the joints that pitch the trunk against the pelvis in the posture of `kin`: neither of legs nor of arms.
+def _trunk(kin: Kinematics) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the joints that roll the trunk against the pelvis in the posture of `kin`, and those that pitch it.
 
-    The trunk is the heaviest body beyond the pelvis.
+    They belong to neither legs nor arms; the trunk is the heaviest body beyond the pelvis.
     """
     model, tree = kin.model, kin.tree
     pelvis, sole = (tree.frames[name].moves for name in (model.pelvis, kin.swing))
     legs = pelvis | sole
     mass = np.where((tree.moves & ~legs).any(axis=1), tree.links[:, 11], 0.0)
     between = tree.moves[int(np.argmax(mass))] & ~legs
-    return np.flatnonzero(between & (np.abs(kin.lines[:, 1]) > _LATERAL))
+    roll, pitch = (np.flatnonzero(between & (np.abs(kin.lines[:, axis]) > _ALONG)) for axis in (0, 1))
+    return roll, pitch
