@@ -213,7 +213,7 @@ class DynamicConfig:
         5.0, "rate at which the pelvis converges to upright; larger: faster", "1/s", 0.0, 100.0
     )
     trunk_weight: float = parameter(
-        0.0, "weight of a trunk that does not pitch, nor roll while a push is caught; 0: it swings", "", 0.0, 1e4
+        0.0, "weight of a trunk that does not pitch, nor roll while a push tips the sole; 0: it swings", "", 0.0, 1e4
     )
     catch: bool = parameter(True, "adjust time and place of a step to the measured divergent component of motion")
     catch_margin: float = parameter(0.012, "margin of the ankle's pressure; larger: earlier steps", "m", 0.0, 0.1)

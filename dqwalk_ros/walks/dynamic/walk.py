@@ -55,6 +55,8 @@ _TIP_TOLERANCE_PER_DELAY = math.radians(60.0)
 """A sole counts as tipping from this inclination on, times (delay - one period) [rad/s]."""
 _TIPPED = math.radians(1.0)
 """Inclination against the ground above which a sole has been tipped, by a push or a stone, and not by noise [rad]."""
+_OUTWARDS = 3.0
+"""Error away from the swing foot above which a push tips the sole, as a multiple of the error that adjusts a step."""
 _RESIDUAL = 0.002
 """Error above which the path of the CoM approaches the measured CoM [m]."""
 _APPROACH = 0.1
@@ -83,7 +85,8 @@ class _Flight:
     """A single support whose landing may be adjusted.
 
     `goal` is the planned landing position and `shift` its displacement [m]; `lost` is the number of consecutive states
-    whose error exceeds the threshold, and `most` the largest error that the ankle cannot compensate [m].
+    whose error exceeds the threshold, `most` the largest error that the ankle cannot compensate, and `outwards` the
+    largest one away from the swing foot [m].
     """
 
     rule: Timed
@@ -94,6 +97,7 @@ class _Flight:
     shift: Array = field(default_factory=lambda: np.zeros(2))
     lost: int = 0
     most: float = 0.0
+    outwards: float = 0.0
 
 
 class DynamicWalk(SteppingWalk):
@@ -144,6 +148,7 @@ class DynamicWalk(SteppingWalk):
         self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
         self._trunk_roll: AtRest | None = None
+        self._outwards = 0.0  # that of the step before this phase [m]
         self._soles: Soles
         self._legs: Mask  # (n,), whether a joint is between the base sole and the pelvis
 
@@ -300,8 +305,8 @@ class DynamicWalk(SteppingWalk):
     def _held_upright(self) -> tuple[Task, ...]:
         """Return the tasks that keep the height of the CoM, the pelvis upright, and the trunk from turning against it.
 
-        A trunk that rolls moves the CoM sideways with little motion of the legs. While a push is caught, it would be
-        thrown against the push and tip the sole further.
+        A trunk that rolls moves the CoM sideways with little motion of the legs. While a push outwards is caught, it
+        would be thrown against the push and tip the sole further.
         """
         d = self.config.dynamic
         tasks: list[Task] = [
@@ -389,14 +394,9 @@ class DynamicWalk(SteppingWalk):
         self._targets["height"].set(self._height + above, rising)
         self._targets["upright"].set(up[:2], 0.0)
         if self._trunk_roll is not None:
-            self._trunk_roll.switch(self._catches(phase))
+            most = flight.outwards if flight is not None else self._outwards
+            self._trunk_roll.switch(most > _OUTWARDS * self._threshold and phase.kind is not PhaseKind.STANCE)
         return change
-
-    def _catches(self, phase: Phase) -> bool:
-        """Return whether a push is caught: a step is adjusted, or it has been before this double support."""
-        if self._flight is not None:
-            return self._flight.lost >= self._confirmed
-        return self._pushed and phase.kind is PhaseKind.DOUBLE_SUPPORT
 
     def _keep_on_ground(self, phase: Phase, least: Array, up: Array) -> None:
         """Hold the foot that has landed in the plane of the ground while the base sole, which was tipped, comes down.
@@ -438,6 +438,7 @@ class DynamicWalk(SteppingWalk):
         flight.reference.end = step.landing + step.offset + flight.shift
         flight.swing.goal = flight.goal + flight.shift
         flight.most = max(flight.most, float(np.abs(over).max()))
+        flight.outwards = max(flight.outwards, float(over[1]) * (1.0 if phase.base is Foot.LEFT else -1.0))
         if np.abs(over).max() > _RESIDUAL:
             self._now.c = self._now.c + _APPROACH * (c - self._now.c)
         return None
@@ -490,6 +491,7 @@ class DynamicWalk(SteppingWalk):
         landed = before is not None and before.kind is PhaseKind.SINGLE_SUPPORT and before.base is phase.base
         self._tipped = kin.up if landed and self._ground.inclination(kin.up) > _TIPPED else None
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
+        self._outwards = self._flight.outwards if self._flight else 0.0
         self._flight = None
         omega, rule, sole = self.pendulum.omega, phase.rule, self.model.soles[phase.base]
         outline = sole.outline
