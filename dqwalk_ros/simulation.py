@@ -162,12 +162,23 @@ def simulate(
     """
     config = controller.config
     recorder = TraceRecorder(config, controller.model)
+    warned = False
+
+    def watch(elapsed: float) -> None:
+        nonlocal warned
+        if plant.warning and not warned:
+            warned = True
+            recorder.note(f"the plant has asked for the end of the walk: {plant.warning}")
+            controller.stop()
+        if before_step is not None:
+            before_step(elapsed)
+
     end = math.inf if max_time is None else plant.state.time + max_time - 0.5 * config.dt
     total = walk_type(config).phases(config) or math.inf
     due = 0.0
     state = plant.state
     try:
-        steps = closed_loop(controller, plant, before_step)
+        steps = closed_loop(controller, plant, watch)
         first = next(steps)  # it may compile for a minute, and Ctrl-C acts at once
         with deferred_interrupts() as interrupted:
             for state, command in itertools.chain([first], steps):

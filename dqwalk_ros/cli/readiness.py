@@ -261,6 +261,8 @@ def check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> str:
         raise Failed(
             "plant_ready is false: call ~/activate of poppy_driver, or activate the controllers that drive uses"
         )
+    if heard.warning:
+        raise Failed(f"plant_warning, so ~/start is refused: {heard.warning}")
     return "accepts commands" if heard.ready else "does not publish plant_ready"
 
 

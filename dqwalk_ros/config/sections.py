@@ -371,6 +371,9 @@ class PhysicsConfig:
     tread: float = parameter(0.25, "length of each stair; larger: flatter", "m", 0.01, 10.0)
     stairs_at: float = parameter(0.3, "distance of the first stair from the robot's first place", "m", 0.0, 100.0)
     mass_scale: float = parameter(1.0, "factor of all masses and inertias; larger: heavier", "", 0.1, 10.0)
+    warn_at: float = parameter(
+        0.0, "time at which the plant asks for the end of the walk, as a hot motor does; 0: never", "s", 0.0, 1e6
+    )
     settle: float = parameter(0.5, "time simulated at rest before the walk begins", "s", 0.0, 60.0)
     held: bool = parameter(False, "the simulated root link is held level in the air, as in a stand (`dqwalk exercise`)")
 
@@ -599,9 +602,15 @@ class PoppyConfig:
     max_lead: float = parameter(
         0.2, "servo.window on the way to the first posture; larger: more torque", "rad", 0.01, 1.0
     )
-    hot: float = parameter(65.0, "motor temperature above which the robot holds still", "degC", 30.0, 80.0)
+    hot: float = parameter(
+        65.0, "motor temperature above which the robot holds still; 5 below it the walk is to end", "degC", 30.0, 80.0
+    )
     low_voltage: float = parameter(
-        10.0, "supply voltage below which the robot holds still; 0: not checked", "V", 0.0, 14.0
+        10.0,
+        "supply voltage below which the robot holds still; 0.5 above it the walk is to end; 0: not checked",
+        "V",
+        0.0,
+        14.0,
     )
     max_load: float = parameter(95.0, "load that counts as blocked after `blocked_after`", "%", 10.0, 1000.0)
     blocked_after: float = parameter(1.0, "longest time off the goal; larger: more tolerant", "s", 0.1, 60.0)

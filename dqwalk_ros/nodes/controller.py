@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config
@@ -68,6 +68,7 @@ class Controller(AnsweringNode):
         left_foot_wrench, right_foot_wrench
                                  geometry_msgs/WrenchStamped with plant.foot_force: ground on a sole
         plant_ready              std_msgs/Bool, latched: the walk waits while this is false
+        plant_warning            std_msgs/String, latched: a reason ends the walk as ~/stop does
 
     Publishes::
 
@@ -112,7 +113,8 @@ class Controller(AnsweringNode):
         self._controller = make_controller(config, self._model)
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._stamp0 = -1  # of the first state answered [ns]
-        self._plant_ready = True
+        self._plant_ready, self._plant_warning = True, ""
+        self._ended_for = ""  # the warning that has ended the walk
         self._pausing = False  # the walk comes to a rest, where it is paused
         self._falls = FallWatch(
             config,
@@ -133,6 +135,7 @@ class Controller(AnsweringNode):
         # In real time only the newest state is of use; in lockstep every state must arrive.
         self.listen(JointState, "joint_states", self._on_state, 1 if self.lockstep else ros.best_effort(1))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
+        self.create_subscription(String, "plant_warning", self._on_plant_warning, ros.latched())
         self._imu = (
             InertialSensor(self, self._model.imu_link, self._gate.inertial, self._take) if config.plant.imu else None
         )
@@ -290,7 +293,8 @@ class Controller(AnsweringNode):
         self._show_phase()
         self._end_footsteps()
         if self._mode is Mode.DONE:
-            self.get_logger().info(f"the walk is over after {self._ticks} ticks")
+            log, why = self.get_logger(), f": {self._ended_for}" if self._ended_for else ""
+            (log.warning if why else log.info)(f"the walk is over after {self._ticks} ticks{why}")
         else:
             self.get_logger().error(f"the walk failed; holding still: {self._problem}")
         self._diagnose()
@@ -304,12 +308,35 @@ class Controller(AnsweringNode):
             self._plant_ready = msg.data
             self.get_logger().info("the plant is ready" if msg.data else "standing still until the plant is ready")
 
+    def _on_plant_warning(self, msg: String) -> None:
+        """End the walk in a stance, because the plant would soon hold in mid-step; one that cannot stop is paused."""
+        before, self._plant_warning = self._plant_warning, msg.data
+        if before and not msg.data:
+            self.get_logger().info("the plant has withdrawn its warning: a walk may begin")
+        if before or not msg.data:
+            return
+        self.get_logger().warning(f"the plant warns: {msg.data}")
+        if self._mode is not Mode.WALKING:
+            return
+        try:
+            self._controller.stop()
+        except DqwalkError as error:
+            if self.lockstep:
+                self._end(f"{msg.data}; {error}")
+            else:
+                self._pause(Trigger.Request(), Trigger.Response())
+            return
+        self._ended_for = msg.data
+        self.get_logger().info("stopping: after the current step the feet are put together")
+
     # ------------------------------------------------------------------ services
 
     def _start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._mode in (Mode.IDLE, Mode.PAUSED) or (self._mode is Mode.WALKING and self._pausing):
             if self._gate.fault:
                 return self.answer(response, False, f"{self._gate.fault}; call ~/reset first")
+            if self._plant_warning:
+                return self.answer(response, False, f"the plant warns: {self._plant_warning}")
             self._controller.pause(False)
             self._mode, self._pausing = Mode.WALKING, False
             self._show_phase()
@@ -350,7 +377,8 @@ class Controller(AnsweringNode):
         self._controller.reset()
         self._odometry.restart()
         self._phases.restart()
-        self._mode, self._problem, self._pausing, self._first_base = Mode.IDLE, "", False, None
+        self._mode, self._pausing, self._first_base = Mode.IDLE, False, None
+        self._problem = self._ended_for = ""
         self._stamp = self._stamp0 = -1
         self._sent = self._still
         self._gate.reset()
@@ -411,8 +439,9 @@ class Controller(AnsweringNode):
         if math.isfinite(drive.delay):
             values |= {"excess delay": drive.delay, "stiffness ratio": drive.stiffness}
         feet = self._feet.warning if self._feet is not None else ""
+        plant = f"the plant warns: {self._plant_warning}" if self._plant_warning else ""
         gate = self._gate.inertial.warning, self._gate.velocities.wrong.reason
-        warning = "; ".join(filter(None, [*drive.warnings(), *gate, feet]))
+        warning = "; ".join(filter(None, [plant, *drive.warnings(), *gate, feet]))
         return "WARN" if warning else "OK", warning or self._label, values
 
     def _report_progress(self, final: bool = False) -> None:
@@ -428,5 +457,5 @@ class Controller(AnsweringNode):
             time=(self._stamp - self._stamp0) * 1e-9 if walking else 0.0,
             ticks=self._ticks,
             error=float(self._controller.error) if walking else None,
-            reason=self._problem,
+            reason=self._problem or self._ended_for,
         )

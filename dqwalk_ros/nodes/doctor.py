@@ -46,6 +46,8 @@ class Heard:
         Messages of /diagnostics at the level ERROR, by name of the status.
     ready : bool or None
         Value of plant_ready; None if it is not published.
+    warning : str
+        Value of plant_warning.
     publishers, subscribers : tuple of str
         Nodes that publish joint_states, and that subscribe to the commands.
     phase : str
@@ -67,6 +69,7 @@ class Heard:
     imus: list[tuple[Imu, int]] = field(default_factory=list)
     errors: dict[str, str] = field(default_factory=dict)
     ready: bool | None = None
+    warning: str = ""
     publishers: tuple[str, ...] = ()
     subscribers: tuple[str, ...] = ()
     phase: str = ""
@@ -102,6 +105,7 @@ class Doctor(Node):
         self.create_subscription(JointState, VELOCITY, self._on_command, best_effort)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         self.create_subscription(Bool, "plant_ready", self._on_ready, latched)
+        self.create_subscription(String, "plant_warning", self._on_warning, latched)
         self.create_subscription(String, "phase", self._on_phase, latched)
 
     def _store(self, messages: list[tuple[Any, int]], msg: Any) -> None:
@@ -110,6 +114,9 @@ class Doctor(Node):
     def _on_ready(self, msg: Bool) -> None:
         self._latched.add("plant_ready")
         self.heard.ready = msg.data
+
+    def _on_warning(self, msg: String) -> None:
+        self.heard.warning = msg.data
 
     def _on_phase(self, msg: String) -> None:
         self._latched.add("phase")

@@ -13,7 +13,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
@@ -134,6 +134,8 @@ class CommandInput:
         self._published_ready: bool | None = None
         reports = topic == VELOCITY and not node.lockstep  # where a plant holds, and says so
         self._ready = node.create_publisher(Bool, "plant_ready", ros.latched()) if reports else None
+        self._warned = ""
+        self._warnings = node.advertise("plant_warning") if topic == VELOCITY else None
         node.create_timer(_CHECK, self._check)
         node.add_on_set_parameters_callback(self._on_parameters)
 
@@ -144,6 +146,16 @@ class CommandInput:
         self._forbidden = reason
         self.gate.refused = reason or self.gate.refused
         self._check()
+
+    def warn(self, reason: str) -> None:
+        """Ask for the end of the walk, before the plant has to hold in mid-step; an empty reason withdraws it."""
+        if reason == self._warned or self._warnings is None:
+            return
+        if not (reason and self._warned):
+            log = self._node.get_logger()
+            log.warning(f"the walk should end: {reason}") if reason else log.info("a walk may begin again")
+        self._warned = reason
+        self._warnings.publish(String(data=reason))
 
     def _on_parameters(self, wanted: Sequence[Parameter]) -> SetParametersResult:
         """Refuse a longer command timeout while the robot moves."""
@@ -239,6 +251,8 @@ class CommandInput:
                 return ("OK", "lockstep") if self.gate.watchdog.age < 2.0 else ("WARN", "waiting for a command")
             text = f"commands are ignored: {self.gate.ignored}" if self.gate.ignored else "no commands"
             return "ERROR" if self.gate.rejected else "WARN", f"holding: {text}"
+        if self._warned:
+            return "WARN", f"the walk should end: {self._warned}"
         return "WARN" if self.gate.rejected else "OK", "moving"
 
     def counts(self) -> dict[str, object]:

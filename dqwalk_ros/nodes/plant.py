@@ -225,6 +225,7 @@ class Physics(SimulatedPlant):
 
         joint_states             sensor_msgs/JointState [rad, rad/s]
         plant_ready              std_msgs/Bool, latched: false while the plant holds, in real time
+        plant_warning            std_msgs/String, latched: why the walk should end, from physics.warn_at on
         imu                      sensor_msgs/Imu of the link robot.imu, with the stamp of the state
         true_base_pose           geometry_msgs/PoseStamped: the pelvis in the world; for analysis, as the next four:
         true_joint_states        sensor_msgs/JointState: angles without the errors of the sensors [rad]
@@ -299,6 +300,7 @@ class Physics(SimulatedPlant):
                 streams[f"{foot.value}_foot_wrench"].publish(wrench)
             if np.isfinite(cop := truth.cop).all():
                 streams["center_of_pressure"].publish(ros.point(stamp, WORLD, cop))
+        self.commands.warn(self.plant.warning)
         if not self.lockstep:
             self.commands.forbid(self.plant.fault)
         elif self.plant.fault:

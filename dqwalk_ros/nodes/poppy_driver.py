@@ -46,6 +46,7 @@ class PoppyDriver(WalkNode):
         joint_states             sensor_msgs/JointState of all 25 motors
         joint_goals              sensor_msgs/JointState: their goal angles at the time of that state [rad]
         plant_ready              std_msgs/Bool, latched: whether commands are accepted
+        plant_warning            std_msgs/String, latched: why the walk should end, such as a motor that is warm
         /diagnostics             latency of the loop; temperature, voltage, load and error bits of every motor
 
     Services::
@@ -174,6 +175,7 @@ class PoppyDriver(WalkNode):
             reason = "moving to the first pose"
             self.get_logger().info(f"{reason}: {plant.remaining:.2f} rad left", **throttled())
         self._commands.forbid(reason)
+        self._commands.warn(plant.warning)
 
     def _on_activate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._switch(True, response)
@@ -242,8 +244,9 @@ class PoppyDriver(WalkNode):
             hottest = max(heat, key=lambda joint: heat[joint])
             each |= {"hottest motor": hottest, "hottest temperature": heat[hottest]}
             state = f"{hottest} is hottest, {heat[hottest]:.0f} degC"
-        text = "; ".join(faults.values()) or state
-        self.diagnose("motors", self._hardware, "ERROR" if faults else "OK", text, each, stamp)
+        level = "ERROR" if faults else "WARN" if plant.warning else "OK"
+        text = "; ".join(faults.values()) or plant.warning or state
+        self.diagnose("motors", self._hardware, level, text, each, stamp)
 
     def close(self) -> None:
         """Hold or switch the torque off, as configured, and close the buses."""

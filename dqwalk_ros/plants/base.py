@@ -93,6 +93,11 @@ class Plant(ABC):
         return False
 
     @property
+    def warning(self) -> str:
+        """Why the walk should end in a stance, before there is a fault that holds the joints in mid-step; or empty."""
+        return ""
+
+    @property
     def fault(self) -> str:
         """Why no command has an effect any more; empty if commands have."""
         return ""

@@ -141,6 +141,12 @@ class EnginePlant(Plant):
         return self._law.wanted
 
     @property
+    def warning(self) -> str:
+        """Why the walk should end: ``physics.warn_at`` has come; or empty."""
+        at = self.config.physics.warn_at
+        return f"{at:g} s have passed (physics.warn_at)" if 0.0 < at <= self._state.time else ""
+
+    @property
     def fault(self) -> str:
         """Why no command has an effect any more; empty if commands have."""
         return self._law.fault

@@ -44,7 +44,8 @@ class Topic:
         History depth of the publisher.
     source : str
         Publishing node: ``"plant"``, ``"controller"``, ``"physics"`` (only the plant of that name), ``"effort"`` (the
-        controller, if joint_states has torques) or ``"all"``.
+        controller, if joint_states has torques), ``"warning"`` (a plant, or another node of the robot, with a reason)
+        or ``"all"``.
     """
 
     name: str
@@ -54,7 +55,7 @@ class Topic:
     source: str = "controller"
 
 
-OPTIONAL = ("physics", "effort")
+OPTIONAL = ("physics", "effort", "warning")
 """Sources of topics that not every walk has."""
 
 _HISTORY = 20_000
@@ -72,6 +73,7 @@ once, and a slow recorder must not miss the first of them."""
 
 _ALL = (
     Topic("joint_states", "sensor_msgs/msg/JointState", False, _HISTORY, "plant"),
+    Topic("plant_warning", "std_msgs/msg/String", True, 1, "warning"),
     Topic("joint_velocity_commands", "sensor_msgs/msg/JointState", False, _HISTORY),
     Topic("phase", "std_msgs/msg/String", True, 1),
     Topic("phase_start", "sensor_msgs/msg/JointState", True, _PHASES),

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load, overlaid
@@ -116,6 +117,47 @@ def test_a_paused_dynamic_walk_puts_its_feet_together_stands_and_continues(make:
     assert node.call("pause", Trigger.Request()).success
     assert node.call("start", Trigger.Request()).success  # before it stands
     walk(lambda: node.got["phase"][-1].data == "finished", 8.0)
+
+
+@pytest.mark.parametrize("name", ["poppy_dynamic", "paper"])
+def test_a_walk_ends_in_a_stance_when_the_plant_warns_and_none_begins(make: Any, name: str) -> None:
+    """In mid-swing; a walk that cannot stop is paused."""
+    config = DYNAMIC if name == "poppy_dynamic" else load("paper").updated({"plant.lockstep": False})
+    node, model = make("controller", config), load_model(config.robot)
+    robot, dt, time = make_plant("physics" if config is DYNAMIC else "integrator", config, model), config.dt, 0.0
+
+    def walk(until: Callable[[], bool], most: float = 10.0) -> None:
+        nonlocal time
+        end = time + most
+        while not until():
+            node.exchange(robot, model, 1.0 + time)
+            time += dt
+            assert not robot.fallen
+            assert time < end
+
+    def call(service: str) -> Any:
+        return node.call(service, Trigger.Request())
+
+    first = "single_support" if config is DYNAMIC else "double_support"
+    walk(lambda: bool(node.got["phase"]) and node.got["phase"][-1].data.startswith(first))
+    walk(lambda end=time + 0.2: time >= end)
+    node.send("plant_warning", String(data="l_knee_y is at 61 degC"))
+    if config is not DYNAMIC:
+        assert node.got["phase"][-1].data == "paused"
+        walk(lambda end=time + dt: time >= end)
+    else:
+        walk(lambda: node.got["phase"][-1].data == "finished")
+        feet = [DQ(x).translation()[0] for x in robot.truth.soles.values()]
+        assert abs(feet[0] - feet[1]) < 0.01
+        assert "ticks: l_knee_y is at 61 degC" in node.log
+        assert call("reset").success
+    assert not any(node.got["joint_velocity_commands"][-1].velocity)
+    node.tick()
+    refused = call("start")
+    assert (refused.success, refused.message) == (False, "the plant warns: l_knee_y is at 61 degC")
+    node.send("plant_warning", String(data=""))
+    assert call("start").success
+    walk(lambda: any(node.got["joint_velocity_commands"][-1].velocity))
 
 
 def test_a_robot_holds_still_at_once_unless_it_would_fall() -> None:

@@ -22,6 +22,7 @@ from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config, from_yaml, load, overlaid, to_yaml
@@ -519,8 +520,8 @@ def test_a_real_time_plant_waits_for_the_recorder(make: Any) -> None:
     period.callback()
     assert not one.got["joint_states"]
     recorder = Node("recorder", context=one.context)
-    recorder.create_subscription(JointState, "joint_states", lambda _: None, 10)
-    recorder.create_subscription(DiagnosticArray, "/diagnostics", lambda _: None, 10)
+    for kind, topic in ((JointState, "joint_states"), (String, "plant_warning"), (DiagnosticArray, "/diagnostics")):
+        recorder.create_subscription(kind, topic, lambda _: None, 10)
     try:
         until(lambda: period.callback() or one.got["joint_states"])
     finally:

@@ -386,9 +386,15 @@ def test_a_second_activation_moves_no_robot(make: Any, monkeypatch: pytest.Monke
     for name, request in (("activate", Trigger.Request()), ("compliant", SetBool.Request(data=False))):
         answer = one.call(name, request)
         assert (answer.success, answer.message, plant.ready) == (True, "the torque is on already", True)
+    memory.servo(KNEE).memory[TEMPERATURE] = 63
+    until(one, lambda: one.got["plant_warning"])
+    assert "l_knee_y is at 63 degC, the robot holds at 65" in one.got["plant_warning"][-1].data
+    assert one.node._commands.gate.ready
     memory.servo(KNEE).memory[TEMPERATURE] = 70
     until(one, lambda: "too hot" in one.node._commands.gate.refused)
     assert not one.call("activate", Trigger.Request()).success
+    memory.servo(KNEE).memory[TEMPERATURE] = 40
+    until(one, lambda: not one.got["plant_warning"][-1].data)
 
 
 def test_the_torque_is_switched_off_after_a_fall_and_on_when_no_motor_is_hot(

@@ -189,7 +189,7 @@ def test_the_documented_topics_are_those_of_the_nodes(heading, topics):
         rows |= dict.fromkeys(re.findall(r"`(/?\w+)`", names), row)
     policy = {one.text for one in ElementTree.parse(ROOT / "config/security/policy.xml").iter("topic")}
     assert set(rows) <= policy | {"/clock"}  # which a test compares with the nodes
-    publishers = {"effort": "controller", "physics": "`physics`"}
+    publishers = {"effort": "controller", "physics": "`physics`", "warning": "any node"}
     for name, topic in topics.items():
         types, by, quality = rows[topic.name]
         package, _, kind = topic.type.split("/")

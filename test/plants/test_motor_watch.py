@@ -205,6 +205,28 @@ def test_a_motor_is_hot_at_its_second_reading_above_the_limit_until_it_is_5_kelv
     assert not motors.look_after(0, temperature=above)
 
 
+@pytest.mark.parametrize(
+    ("what", "limit", "step", "says"),
+    [("temperature", HOT, -5.0, "the robot holds at 64"), ("voltage", LOW, 0.5, "the robot holds at 10")],
+)
+def test_before_a_fault_there_is_a_warning_at_the_second_reading(
+    motors: Motors, what: str, limit: float, step: float, says: str
+) -> None:
+    """It begins 5 K or half a volt before the limit, and ends as much before that."""
+    near = math.nextafter(limit + step, limit)
+
+    def warned(value: float) -> str:
+        assert not motors.look_after(0, **{what: value})
+        return "; ".join(motors.watch.warnings.values())
+
+    assert not warned(limit + step)
+    assert not warned(limit + step), "exactly at the limit"
+    assert not warned(near)
+    assert says in warned(near)
+    assert says in warned(limit + 1.9 * step)
+    assert not warned(limit + 2.0 * step)
+
+
 def test_the_voltage_is_low_at_its_second_reading_below_the_limit_until_it_is_half_a_volt_higher(
     motors: Motors,
 ) -> None:

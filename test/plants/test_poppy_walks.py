@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dynamixel_bus import MOTORS, TYPES, Memory
+from dynamixel_bus import MOTORS, TEMPERATURE, TYPES, Memory
 
 import dqwalk_ros as dq
 from dqwalk_ros.config import Config, overlaid
@@ -81,7 +81,8 @@ class RegisterGoals(ServoGoals):
 class PoppyOnTheFloor(Plant):
     """The driver, both buses, and the robot in MuJoCo; straps hold the robot until it is in its first pose."""
 
-    def __init__(self, config: Config, model: RobotModel) -> None:
+    def __init__(self, config: Config, model: RobotModel, warming: float = 0.0) -> None:
+        self._warming = warming  # of the left knee, which begins at 57 degC [K/s]
         posture = make_walk(config, model).posture
         degrees = dict(zip(model.joint_names, np.degrees(posture), strict=True))
         self.memory, self._names = Memory(**degrees), model.joint_names
@@ -104,6 +105,9 @@ class PoppyOnTheFloor(Plant):
         self.driver.write(command, dt)
         self.robot.step(Command(command.time, np.zeros_like(command.velocity)), dt)
         self.memory.clock.now = self.robot.data.time
+        if self._warming:
+            heat = round(57.0 + self._warming * self.robot.state.time)
+            self.memory.servo("l_knee_y").memory[TEMPERATURE] = heat
         self._measure()
         self._state = self._sensed(self.driver.read())
         return self._state
@@ -135,6 +139,10 @@ class PoppyOnTheFloor(Plant):
     @property
     def fallen(self) -> bool:
         return self.robot.fallen
+
+    @property
+    def warning(self) -> str:
+        return self.driver.warning
 
 
 def settings(gain: int, seed: int, steps: int, config: Config = CONFIG) -> Config:
@@ -182,6 +190,26 @@ def test_20_steps_through_the_driver(gain: int, seed: int) -> None:
 
 def test_the_robot_walks_dynamically_through_the_driver() -> None:
     check_walk(settings(254, 0, 6, DYNAMIC), ramp=2, **LESS_EXACT)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("warming", [0.5, 1.0, 2.0])
+def test_a_dynamic_walk_ends_on_both_feet_before_a_motor_is_too_hot(warming: float) -> None:
+    config = settings(254, 0, 100, DYNAMIC)
+    plant = PoppyOnTheFloor(config, MODEL, warming)
+    trace = simulate(make_controller(config, MODEL), plant)
+    print(f"{warming:g} K/s: {trace.notes}, ended at {trace.time[-1]:.2f} s")
+    assert trace.finished
+    assert "l_knee_y is at 61 degC" in trace.notes[0]
+    assert not plant.driver.watch.faults
+    feet = [DQ(x).translation() for x in plant.truth.soles.values()]
+    assert abs(feet[0][0] - feet[1][0]) < 0.01
+    while not plant.driver.watch.faults:
+        plant.step(Command(0.0, np.zeros(MODEL.n)), config.dt)
+    assert "too hot" in str(plant.driver.watch.faults)
+    for _ in range(50):
+        plant.step(Command(0.0, np.zeros(MODEL.n)), config.dt)
+    assert not plant.fallen
 
 
 @pytest.mark.long

@@ -330,6 +330,18 @@ def test_a_failed_walk_is_noted(path, tmp_path):
     assert "the walk failed: a phase could not end by its rule" in back.notes
 
 
+def test_the_warning_that_has_ended_a_walk_is_noted(path, tmp_path):
+    def renamed(topic):
+        return "/plant_warning" if topic == "/support_foot" else topic
+
+    def edit(topic, time, m):
+        m.data = "l_knee_y is at 61 degC"
+        return time, m
+
+    back = bag.read(rewrite(path, tmp_path / "b", rename=renamed, edit=edit, edits="/support_foot"))
+    assert "the plant has asked for the end of the walk: l_knee_y is at 61 degC" in back.notes
+
+
 def test_after_a_reset_the_last_run_is_read(trace, path, tmp_path):
     """One bag with two runs, between which the plant was reset."""
     store = storage.typestore()

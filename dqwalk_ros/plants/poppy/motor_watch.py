@@ -21,7 +21,7 @@ _BRIEF = 1.0
 _TWICE = 2
 """Number of consecutive readings of a high temperature or a low voltage that are a fault."""
 _COOLER, _FULLER = 5.0, 0.5
-"""Hysteresis of temperature [K] and voltage [V] for the end of a fault."""
+"""Hysteresis of temperature [K] and voltage [V] for the end of a fault, and distance of its warning before it."""
 _DAMAGED = "is the cable intact, and does no other program use the port?"
 _ASKS = {
     SILENT: "is the power on, and the cable plugged in?",
@@ -82,6 +82,8 @@ class MotorWatch:
     ----------
     passing : dict of str to str
         Messages of the current faults, by kind and joint.
+    warnings : dict of str to str
+        What will soon be a fault, so that a walk should end before.
     lasting : dict of str to str
         Messages of the faults that remain until an operator switches the torque on again.
     unsure : ndarray of bool, shape (N,)
@@ -92,6 +94,7 @@ class MotorWatch:
         self._names, self._parts, self._config, self._max_age = names, parts, config, max_age
         n = len(names)
         self.passing: dict[str, str] = {}
+        self.warnings: dict[str, str] = {}
         self.lasting: dict[str, str] = {}
         self.unsure = np.zeros(n, bool)
         self._looked = np.full(n, -np.inf)
@@ -124,12 +127,12 @@ class MotorWatch:
             Commanded gains; negative if any gain is allowed.
         """
         on = goal is not None
-        found: dict[str, str] = {}
+        found, warnings = dict[str, str](), dict[str, str]()
         self._timeouts(now, measured, on, found)
         for part in self._parts:
             for i, place in enumerate(part.places):
                 given = int(gain[place]) if on and not measured.runaway[place] else None
-                self._registers(part.bus, i, int(place), given, found)
+                self._registers(part.bus, i, int(place), given, found, warnings)
         if goal is not None:
             self._blocked_joints(now, measured, goal, lead)
             for name in (self._names[k] for k in np.flatnonzero(measured.runaway)):
@@ -140,7 +143,7 @@ class MotorWatch:
         if on and not found and self.unsure.any():
             some = ", ".join(self._names[i] for i in np.flatnonzero(self.unsure))
             found["silent"] = f"{some}: being checked after a timeout"
-        self.passing = found
+        self.passing, self.warnings = found, warnings
 
     def _timeouts(self, now: float, measured: Measured, on: bool, found: dict[str, str]) -> None:
         old = now - measured.at > self._max_age
@@ -174,7 +177,9 @@ class MotorWatch:
                     "calibration, then ~/activate"
                 )
 
-    def _registers(self, bus: DynamixelBus, i: int, place: int, gain: int | None, found: dict[str, str]) -> None:
+    def _registers(
+        self, bus: DynamixelBus, i: int, place: int, gain: int | None, found: dict[str, str], warnings: dict[str, str]
+    ) -> None:
         name, registers = self._names[place], bus.registers[i]
         if bus.error[i] & _SWITCHED_OFF and gain is not None:
             bits = " and ".join(text for bit, text in ERROR_BITS.items() if bit & bus.error[i] & _SWITCHED_OFF)
@@ -194,29 +199,24 @@ class MotorWatch:
                     f"{name} has lost its torque or its gain: was its power cut, or has another program written to it? "
                     "support the robot, then ~/activate"
                 )
-        c = self._config
-        self._report_repeated(
-            f"hot/{name}",
-            registers.temperature > c.hot - _COOLER * (f"hot/{name}" in self.passing),
-            new,
-            f"{name} is at {registers.temperature:.0f} degC, too hot; let it cool (poppy.hot)",
-            found,
-        )
-        self._report_repeated(
-            f"voltage/{name}",
-            registers.voltage < c.low_voltage + _FULLER * (f"voltage/{name}" in self.passing) or bool(bus.error[i] & 1),
-            new,
-            f"{name} has {registers.voltage:.1f} V, "
-            + (
-                "outside of the limits in its registers; check battery and supply"
-                if bus.error[i] & 1 and registers.voltage >= c.low_voltage
-                else "too little; charge the battery (poppy.low_voltage)"
-            ),
-            found,
-        )
+        c, hot, low = self._config, registers.temperature, registers.voltage
+        cool, charge = "let it cool (poppy.hot)", "charge the battery (poppy.low_voltage)"
+        alarm = bool(bus.error[i] & 1)
+        outside = "outside of the limits in its registers; check battery and supply"
+        beyond = outside if alarm and low >= c.low_voltage else f"too little; {charge}"
+        for kind, excess, near, bad, text, why, limit, remedy in (
+            ("hot", hot - c.hot, _COOLER, False, f"is at {hot:.0f} degC", f"too hot; {cool}", c.hot, cool),
+            ("voltage", c.low_voltage - low, _FULLER, alarm, f"has {low:.1f} V", beyond, c.low_voltage, charge),
+        ):
+            key, soon = f"{kind}/{name}", f"soon {kind}/{name}"
+            is_bad = bad or excess > -near * (key in self.passing)
+            self._report_repeated(key, is_bad, new, f"{name} {text}, {why}", found)
+            is_near = excess > -near * (1 + (soon in self.warnings))
+            then = f"the robot holds at {limit:g}; {remedy}"
+            self._report_repeated(soon, is_near, new, f"{name} {text}, {then}", warnings)
 
     def _report_repeated(self, key: str, bad: bool, new: bool, text: str, found: dict[str, str]) -> None:
-        """Report a fault at its second consecutive reading."""
+        """Report a fault, or a warning, at its second consecutive reading."""
         if new:
             self._counts[key] = self._counts.get(key, 0) + 1 if bad else 0
         if self._counts.get(key, 0) >= _TWICE:

@@ -276,6 +276,11 @@ class PoppyPlant(Plant):
         return self._law.active
 
     @property
+    def warning(self) -> str:
+        """Why the walk should end, before a fault holds the joints in mid-step; or empty."""
+        return "; ".join(self.watch.warnings.values())
+
+    @property
     def stiff(self) -> bool:
         """Whether a motor had its torque at its last inspection: also one that an earlier driver has left on."""
         return any(found is not None and found.torque for part in self.parts for found in part.bus.registers)

@@ -72,7 +72,7 @@ def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = Tru
     """
     if len(trace.time) == 0:
         raise BagError("a walk without a state cannot be written as a bag")
-    known = {"physics": trace.physics is not None, "effort": trace.loads is not None}
+    known = {"physics": trace.physics is not None, "effort": trace.loads is not None, "warning": False}
     topics = {name: topic for name, topic in TOPICS.items() if known.get(topic.source, True)}
     if not diagnostics:
         del topics["diagnostics"]
@@ -216,6 +216,9 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
     last_phase = next((name for name in reversed(texts(bag.columns["phase"])) if name), "")
     if last_phase in (FAILED, FALLEN):
         notes.append("the walk failed: a phase could not end by its rule")
+    warned = bag.columns.get("plant_warning")
+    if warned is not None and (asked := next(filter(None, texts(warned)), "")):
+        notes.append(f"the plant has asked for the end of the walk: {asked}")
     finished, answered = last_phase == FINISHED, np.setdiff1d(np.arange(len(u)), unanswered)
     if len(answered) and "/" in last_phase and phases.is_last(bag, begun, int(stamps[answered[-1]]), q[answered[-1]]):
         finished = True
