@@ -481,7 +481,7 @@ class NodeConfig:
     autostart: bool = parameter(True, "walk as soon as the first state arrives; false: wait for the service ~/start")
     exit_when_done: bool = parameter(False, "exit when the walk is over: code 0 if it finished, 1 if it failed")
     end_with_parent: bool = parameter(False, "end when the process that started the node ends, as ros2 launch (Linux)")
-    wait_for_recorder: bool = parameter(False, "the controller answers the first state only when a recorder is present")
+    wait_for_recorder: bool = parameter(False, "the walk begins, and is judged, only once a recorder receives it")
     wait_for_monitor: bool = parameter(
         False, "the controller answers the first state only when a phase_monitor is present"
     )

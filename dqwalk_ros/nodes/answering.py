@@ -169,7 +169,7 @@ class AnsweringNode(WalkNode):
         if self._ticks or not self.config.node.wait_for_recorder:
             return True
         ends = self.get_subscriptions_info_by_topic(self.resolve_topic_name("joint_states"))
-        return any(end.node_name == "recorder" for end in ends) and self.is_recorded()
+        return any(end.node_name == "recorder" for end in ends) and self.may_publish()
 
     # ------------------------------------------------------------------ answers
 

@@ -41,8 +41,8 @@ _DISCOVERED, _HEARD = 0.4, 1.5
 for a command publishes twice a second. A node that is shutting down has the same time to end."""
 
 _ACKNOWLEDGED = {True: 12.0, False: 0.25}
-"""Longest wait for acknowledgements at shutdown [s]: in lockstep, where the bag must be complete, and in real time,
-where the plant's watchdog stops the robot even if the last message is lost."""
+"""`WalkNode.patience`: in lockstep, where the bag must be complete, and in real time, where the plant's watchdog stops
+the robot even if the last message is lost."""
 
 
 class WalkNode(Node):
@@ -89,7 +89,7 @@ class WalkNode(Node):
         if self.claims and all(name.split(".")[0] in OF_RCLPY for name in self._parameter_overrides):
             self.get_logger().warning("no parameters given, using the defaults: is --ros-args --params-file missing?")
         self.add_on_set_parameters_callback(self._on_parameters)
-        self._made = time.monotonic()
+        self._made, self._recorded = time.monotonic(), False
         self.done = Future()
         self.is_child: bool = options.child
         self._diagnostics = self.advertise("diagnostics") if self.has_diagnostics else None
@@ -98,6 +98,11 @@ class WalkNode(Node):
     def lockstep(self) -> bool:
         """Whether each state waits for its command."""
         return self.config.plant.lockstep
+
+    @property
+    def patience(self) -> float:
+        """Longest wait at shutdown for those who are to receive what was published [s]."""
+        return _ACKNOWLEDGED[self.lockstep]
 
     def _on_parameters(self, wanted: Iterable[Parameter]) -> SetParametersResult:
         changed = {p.name: p.value for p in wanted if p.name.split(".")[0] not in OF_RCLPY}
@@ -213,6 +218,15 @@ class WalkNode(Node):
         recorded = {self.resolve_topic_name(name) for name in names}
         return all(ros.is_heard_by(self, end, "recorder") for end in self.publishers if end.topic_name in recorded)
 
+    def may_publish(self, within: float = 0.0) -> bool:
+        """Return whether what is published now is recorded, if it is to be: with ``node.wait_for_recorder``.
+
+        It is waited for up to `within` [s]. Once this is true it remains so, also after the recorder has ended.
+        """
+        wanted = self.config.node.wait_for_recorder
+        self._recorded = self._recorded or not wanted or self._within(within, self.is_recorded)
+        return self._recorded
+
     def answer(self, response: Any, success: bool, message: str) -> Any:
         """Return the response of a Trigger or SetBool service, and log its message."""
         self.get_logger().info(message)
@@ -277,7 +291,7 @@ class WalkNode(Node):
 
     def wait_for_acknowledgements(self) -> None:
         """Wait until all reliable subscribers have received every message."""
-        deadline = time.monotonic() + _ACKNOWLEDGED[self.lockstep]
+        deadline = time.monotonic() + self.patience
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
 

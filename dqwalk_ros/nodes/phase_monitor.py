@@ -134,6 +134,8 @@ class PhaseMonitor(WalkNode):
         self._publish_status(stamp, "ERROR", f"joint_states rejected: {error}", {})
 
     def _evaluate_waiting(self, *, all_of_them: bool = False) -> None:
+        if not self.may_publish():
+            return
         known = self._phases.reader is not None and not self._phases.lockstep
         until = self.steady() - (0.0 if known or all_of_them else _RESEND)
         while self._waiting and self._waiting[0][0] <= until:
@@ -209,5 +211,8 @@ class PhaseMonitor(WalkNode):
         return self._phases.lockstep
 
     def close(self) -> None:
-        """Evaluate the states that are still waiting."""
+        """Evaluate the states that are still waiting, as soon as the recorder receives what is published of them."""
+        if self._waiting and not self.may_publish(self.patience):
+            count = len(self._waiting)
+            self.get_logger().warning(f"{count} states are not judged: no recorder has subscribed to /diagnostics")
         self._evaluate_waiting(all_of_them=True)

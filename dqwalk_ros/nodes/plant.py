@@ -125,10 +125,8 @@ class SimulatedPlant(WalkNode):
         """Return whether monitor and recorder, if they are to be waited for, have subscribed to the states."""
         if self.ticks:
             return True
-        wanted = self.config.node
-        if wanted.wait_for_monitor and not ros.is_heard_by(self, self._states, "phase_monitor"):
-            return False
-        return not wanted.wait_for_recorder or self.is_recorded()
+        awaited = self.config.node.wait_for_monitor
+        return (not awaited or ros.is_heard_by(self, self._states, "phase_monitor")) and self.may_publish()
 
     # ------------------------------------------------------------------ real time
 

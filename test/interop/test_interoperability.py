@@ -594,6 +594,31 @@ def test_states_that_arrive_before_the_walk_is_known_are_judged(make: Any, locks
     assert all("double_support" in array.status[0].message for array in monitor.got["diagnostics"])
 
 
+def test_states_are_judged_once_the_recorder_hears_it(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine a short walk is over before the recorder has connected to /diagnostics of the monitor."""
+    walk, monitor = make("controller", PAPER), make("phase_monitor", PAPER.updated({"node.wait_for_recorder": True}))
+    heard = iter([False] * 12)
+    monkeypatch.setattr(monitor.node, "is_recorded", lambda: next(heard, True))
+    walk.send("joint_states", state(NAMES, ZERO, 1.0))
+    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
+        monitor.send(topic, walk.got[topic][-1])
+    for k in range(10):
+        monitor.send("joint_states", serialize_message(state(NAMES, ZERO, 1.0 + 0.2 * k)))
+    assert not monitor.got["diagnostics"]
+    monitor.node.close()
+    assert len(monitor.got["diagnostics"]) == 10
+
+
+def test_a_monitor_says_that_it_is_not_recorded(make: Any) -> None:
+    walk, monitor = make("controller", PAPER), make("phase_monitor", PAPER.updated({"node.wait_for_recorder": True}))
+    walk.send("joint_states", state(NAMES, ZERO, 1.0))
+    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
+        monitor.send(topic, walk.got[topic][-1])
+    monitor.send("joint_states", serialize_message(state(NAMES, ZERO, 1.0)))
+    monitor.node.close()
+    assert "1 states are not judged: no recorder has subscribed to /diagnostics" in monitor.log
+
+
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_monitor_and_viewer_ignore_the_states_of_a_gripper(make: Any, lockstep: bool) -> None:
     """In lockstep its stamps, of another clock, are no restart of the plant."""

@@ -105,7 +105,7 @@ class Rigid(SimulatedPlant):
 
     def _may_begin(self) -> bool:
         """Return whether the walk may begin: with a recorder, once it has subscribed to every message."""
-        return bool(self.ticks) or not self.config.node.wait_for_recorder or self.is_recorded()
+        return bool(self.ticks) or self.may_publish()
 
     def on_step(self, before: int) -> None:
         """Publish the wrenches of the period, and apply the impulse of each push; (S23) contains no moments."""
