@@ -43,6 +43,7 @@ writes to the folder of --out:
 
 examples:
   dqwalk evidence ground                                         110 walks on uneven ground in each engine
+  dqwalk evidence ground --config adopted/dynamic.yaml           the same for another robot, in proportion to its legs
   dqwalk evidence arms                                           free arms, loads, and random poses of the hands
   dqwalk evidence --sample 2                                     a sample: two walks of each row in each engine
   dqwalk evidence --engine physics --jobs 8                      without Drake
@@ -50,6 +51,13 @@ examples:
   dqwalk evidence mine.yaml --scheduler tcp://127.0.0.1:8786
 """)
 @click.argument("path", metavar="[ROWS.yaml]", default="evidence")
+@click.option(
+    "--config",
+    metavar="CONFIG",
+    show_default="that of each row",
+    help="Name or path of the configuration of another robot: without the parameter files and servo types of the rows, "
+    "and with rubble and steps in proportion to its legs.",
+)
 @click.option(
     "--engine",
     "engines",
@@ -75,7 +83,9 @@ examples:
     help="Walks of each row that are simulated.",
 )
 @many_options("evidence")
-def evidence(path: str, engines: tuple[str, ...], wanted: tuple[str, ...], sample: int, many: Many) -> int:
+def evidence(
+    path: str, config: str | None, engines: tuple[str, ...], wanted: tuple[str, ...], sample: int, many: Many
+) -> int:
     """Simulate what the tables of results claim, in two engines.
 
     Prints for every row and engine, MuJoCo and Drake, how many walks stood and how many reports are OK, each with the
@@ -86,6 +96,8 @@ def evidence(path: str, engines: tuple[str, ...], wanted: tuple[str, ...], sampl
     from dqwalk_ros.studies import evidence as study
 
     rows = study.read(path)
+    if config is not None:
+        rows = study.of_robot(rows, config)
     for name in wanted:
         if not fnmatch.filter(rows, name):
             raise ConfigError(f"--row {name}: the rows are {listed(rows)}")

@@ -32,9 +32,9 @@ from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError, listed
 from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.stepping import SteppingWalk
-from dqwalk_ros.walks.table import make_controller, refuse_endless, walk_type
+from dqwalk_ros.walks.table import make_controller, make_walk, refuse_endless, walk_type
 
-__all__ = ["Row", "WalkOutcome", "bounds", "ceilings", "collect", "points", "read"]
+__all__ = ["Row", "WalkOutcome", "bounds", "ceilings", "collect", "of_robot", "points", "read"]
 
 CONFIDENCE = 0.95
 """Probability with which the bounds of `bounds` contain the true chance."""
@@ -42,6 +42,8 @@ _REACH = 1.0
 """Largest distance of an arm's joint from its posture at the random poses of its hand [rad]."""
 _DIRECTIONS, _PARTS = 8, (0.1, 0.25, 0.5, 0.75)
 """Of the pushes of a row: evenly spread directions, and fractions of a step after which they begin."""
+_HEIGHTS = ("physics.rubble", "physics.rise")
+"""Parameters that `of_robot` scales by the leg."""
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -177,6 +179,40 @@ def read(path: str) -> dict[str, Row]:
         rows[row.name] = msgspec.structs.replace(row, set=given | row.set)
         rows[row.name].made()
     return rows
+
+
+def of_robot(rows: Mapping[str, Row], config: str) -> dict[str, Row]:
+    """Return the rows with the walk of another robot, and heights of the ground in proportion to its legs.
+
+    Parameter files and types of servos, which are those of the rows' own robots, are left out.
+
+    Parameters
+    ----------
+    rows : dict of str to Row
+    config : str
+        As ``--config``.
+
+    Raises
+    ------
+    ConfigError
+        If it does not fit a row.
+    """
+    leg = functools.cache(_leg)
+    out = {}
+    for name, row in rows.items():
+        kept = {key: value for key, value in row.set.items() if key != "servo.types"}
+        scaled = {key: kept[key] * leg(config) / leg(row.config) for key in _HEIGHTS if key in kept}
+        out[name] = msgspec.structs.replace(row, config=config, plant="physics", params=[], set=kept | scaled)
+        out[name].made()
+    return out
+
+
+def _leg(config: str) -> float:
+    """Return the height of the pelvis over a sole in the posture of a configuration's walk [m]."""
+    made = load(config)
+    model = load_model(made.robot)
+    kin = Kinematics(model, make_walk(made, model).posture, Foot.LEFT)
+    return float(kin.point(model.pelvis)[2])
 
 
 def points(rows: Mapping[str, Row], engines: Sequence[str], sample: int = 0) -> list[dict[str, Any]]:

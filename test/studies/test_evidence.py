@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from dqwalk_ros import cli
 from dqwalk_ros.cli.evidence import table
+from dqwalk_ros.config import load, to_yaml
 from dqwalk_ros.plants import mujoco
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.studies import evidence, robustness
@@ -20,6 +22,8 @@ from dqwalk_ros.studies.evidence import Row, WalkOutcome, bounds, points, read
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.table import make_controller
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_shipped_rows_are_valid_and_each_is_walked_in_every_engine() -> None:
@@ -33,6 +37,32 @@ def test_the_shipped_rows_are_valid_and_each_is_walked_in_every_engine() -> None
     }
     assert kept["physics"] == kept["drake"]  # the same seeds and pushes
     assert all(one in every for one in sample)
+
+
+def test_another_robot_walks_the_rows_on_ground_in_proportion_to_its_legs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here a Poppy of half the size, whose servos have no types."""
+    text = (ROOT / "urdf" / "poppy.urdf").read_text(encoding="utf-8")
+    halved = re.sub(r'(?<=xyz=")[^"]+', lambda m: " ".join(str(0.5 * float(x)) for x in m[0].split()), text)
+    (tmp_path / "half.urdf").write_text(halved, encoding="utf-8")
+    config = load("poppy_dynamic").updated({"robot.urdf": str(tmp_path / "half.urdf")})
+    (tmp_path / "half.yaml").write_text(to_yaml(config), encoding="utf-8")
+    given: dict[str, Row] = {}
+    monkeypatch.setattr(evidence, "collect", lambda rows, *_, **__: given.update(rows) or [])
+    monkeypatch.setattr(evidence, "ceilings", lambda rows: {})
+    asked = ["ground", "--config", str(tmp_path / "half.yaml"), "--out", str(tmp_path / "out")]
+    assert cli.main(["evidence", *asked]) == 0
+    made = {name: row.made() for name, row in given.items()}
+    own = {name: row.made() for name, row in read("ground").items()}
+    for key in ("rubble", "rise"):
+        heights = [getattr(one.physics, key) for one in own.values()]
+        assert [getattr(one.physics, key) for one in made.values()] == pytest.approx(0.5 * np.array(heights))
+        assert any(heights)
+    assert {one.robot.urdf for one in made.values()} == {str(tmp_path / "half.urdf")}
+    assert [one.physics.slope for one in made.values()] == [one.physics.slope for one in own.values()]
+    assert not any(one.servo.types for one in made.values())
+    assert {one.standing.swing_duration for one in made.values()} == {config.standing.swing_duration}  # not "rough"
 
 
 def test_the_hands_get_a_new_random_pose_after_every_interval() -> None:
