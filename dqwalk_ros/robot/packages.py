@@ -17,7 +17,7 @@ from dqwalk_ros.support.errors import ModelError
 __all__ = ["expanded", "find_package_file", "is_pointer"]
 
 
-_POINTER = b"version https://git-lfs"
+POINTER = b"version https://git-lfs"
 """Beginning of the file that Git has in place of a large one which it has not fetched."""
 
 
@@ -126,7 +126,7 @@ def find_package_file(
 def is_pointer(file: str | os.PathLike[str]) -> bool:
     """Return whether a file is a pointer of Git LFS instead of what it is to contain."""
     with pathlib.Path(file).open("rb") as begin:
-        return begin.read(len(_POINTER)) == _POINTER
+        return begin.read(len(POINTER)) == POINTER
 
 
 def _is_file(place: pathlib.Path) -> bool:

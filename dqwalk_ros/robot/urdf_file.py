@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from xml.etree import ElementTree
 from xml.parsers import expat
 
+from dqwalk_ros.robot.packages import POINTER
 from dqwalk_ros.support.errors import ModelError, kinds
 
 __all__ = ["LARGEST", "MOST_BYTES", "elements", "place"]
@@ -108,6 +109,16 @@ def place(element: ElementTree.Element) -> str:
     return f"line {getattr(element, 'line', 0)}: <{element.tag}>" + (f" '{name[:80]}'" if name else "")
 
 
+def _no_xml(content: bytes) -> str:
+    """Return what a file is that version control has written in place of a description; empty if it is none."""
+    if content.startswith(POINTER):
+        return "a Git LFS pointer instead of a robot description: run 'git lfs pull' in its repository"
+    if re.fullmatch(rb"[^<\s]+\.(urdf|xacro|xml|mjcf)", content):
+        target = content.decode(errors="replace")
+        return f"a symbolic link that was not made: it contains only '{target}'; name that file"
+    return ""
+
+
 def _parsed(data: bytes | str, source: str) -> ElementTree.Element:
     """Return the root element of a file, with only those elements and attributes that are read."""
     content, encoding = (data.encode(), "utf-8") if isinstance(data, str) else (data, None)
@@ -155,7 +166,7 @@ def _parsed(data: bytes | str, source: str) -> ElementTree.Element:
     try:
         parser.Parse(content, True)
     except expat.ExpatError as error:
-        raise ModelError(f"{source}: not XML: {error}") from error
+        raise ModelError(f"{source}: {_no_xml(content) or f'not XML: {error}'}") from error
     except (ValueError, LookupError) as error:
         raise ModelError(f"{source}: its encoding '{name}' is not known: save it as UTF-8") from error
     root = document[0]

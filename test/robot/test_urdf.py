@@ -44,6 +44,8 @@ BAD = {
     "empty": ("", "not XML"),
     "not xml": ("hello", "not XML"),
     "cut off": (POPPY[:5000], "not XML"),
+    "pointer": ("version https://git-lfs.github.com/spec/v1\noid sha256:4d1b\n", "Git LFS pointer .*'git lfs pull'"),
+    "link of git": ("../talos_full.urdf", "symbolic link that was not made.* '../talos_full.urdf'"),
     "another root": ("<svg/>", "line 1: <svg>: not a URDF"),
     "no links": (robot(), "no links"),
     "doctype": (f'<!DOCTYPE robot SYSTEM "file:///etc/passwd">{robot(A)}', "line 1: <!DOCTYPE is not allowed"),
