@@ -480,6 +480,7 @@ def dynamic_parameters(numbers: Numbers, damping: float, stiffness: float) -> li
         Entry("standing.swing_rate", rounded(12.0 / slow, 2), time),
         Entry("dynamic.start_duration", rounded(0.6 * slow, 2), time),
         Entry("dynamic.stop_duration", rounded(slow, 2), time),
+        Entry("dynamic.land_late", rounded(0.03 * slow, 2), "a tilted foot touches the ground early"),
         Entry("dynamic.com_rate", rounded(2.0 / slow, 2), time),
         Entry("dynamic.height_rate", rounded(4.0 / slow, 2), time),
         Entry("dynamic.upright_rate", rounded(5.0 / slow, 2), time),

@@ -203,6 +203,9 @@ class DynamicConfig:
     quicken: float = parameter(
         0.0, "time by which a step of gait.most_length is shorter than one on the spot; larger: faster", "s", 0.0, 1.0
     )
+    land_late: float = parameter(
+        0.0, "time after the planned landing at which a swing foot is down; larger: touches later", "s", 0.0, 0.2
+    )
     side_frequency: float = parameter(1.0, "lateral over model frequency; larger: faster sway", "", 0.5, 1.5)
     com_weight: float = parameter(20.0, "weight of the CoM's path; larger: followed more closely", "", 1e-3, 1e4)
     com_rate: float = parameter(2.0, "rate at which the CoM converges to its path; larger: faster", "1/s", 0.0, 100.0)

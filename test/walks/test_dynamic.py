@@ -346,6 +346,16 @@ def test_a_swing_lands_at_a_changed_goal_and_time() -> None:
     assert path[:, 2].max() == pytest.approx(0.02, abs=0.002)
 
 
+def test_a_foot_that_lands_late_only_comes_down_at_the_end() -> None:
+    start, goal, late = DQ.from_pose([-0.05, 0.08, 0.0]).vec8(), DQ.from_pose([0.05, 0.08, 0.0]).vec8(), 0.03
+    swings = [(Swing(start, goal, 0.02), 0.4), (Swing(start, goal, 0.02, still=late / (0.4 + late)), 0.4 + late)]
+    for t in np.linspace(0.3, 0.4, 20):
+        (prompt, _, _), (other, _, _) = (swing.step(float(t), duration) for swing, duration in swings)
+        assert other[:2] == pytest.approx(prompt[:2], abs=5e-4)
+        assert other[2] > prompt[2] + 5e-5
+    assert other[:2] == pytest.approx([0.05, 0.08], abs=1e-9)
+
+
 @pytest.mark.parametrize(("below", "goal"), [(0.0, 0.025), (-0.025, 0.025), (-0.025, 0.0), (0.0, -0.025)])
 def test_a_swing_clears_the_edge_of_a_stair_that_is_10_mm_from_the_sole(below: float, goal: float) -> None:
     x = [-0.06, 0.12]
@@ -430,18 +440,22 @@ def inclined(degrees: float) -> np.ndarray:
     return np.array([0.0, math.sin(math.radians(degrees)), math.cos(math.radians(degrees))])
 
 
-@pytest.mark.parametrize("latency", [0.0, 0.02, 0.04])
-def test_a_delay_moves_foot_pressure_and_reference_ahead(latency: float, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("latency", "late"), [(0.0, 0.0), (0.0, 0.03), (0.02, 0.0), (0.04, 0.02)])
+def test_a_delay_moves_foot_pressure_and_reference_ahead(
+    latency: float, late: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With D, the delay less a period: the foot is down 1.4 D early, the reference of the CoM ahead by 0.75 D.
+
+    With ``dynamic.land_late`` the foot is down later.
 
     In double support the plan's pressure is that of D before the command acts: until then one foot is in the air.
     """
     config = CONFIG.updated({"servo.latency": latency, "servo.assumed_latency": latency, "dynamic.catch": False})
     q, up, drive = MODEL.posture(config.standing.posture), inclined(0.0), Drive.of(config, MODEL)
     ahead = max(drive.delay - config.dt, 0.0)
-    down = config.standing.swing_duration - 1.4 * ahead
-    heights = [swing_target(config, q, up, up, math.ceil(down / config.dt) + k)[2] for k in (-3, 0)]
-    level = swing_target(config, q, up, up, 200)[2]
+    down, later = config.standing.swing_duration - 1.4 * ahead, config.updated({"dynamic.land_late": late})
+    heights = [swing_target(later, q, up, up, math.ceil((down + late) / config.dt) + k)[2] for k in (-3, 0)]
+    level = swing_target(later, q, up, up, 200)[2]
     assert heights[0] > level + 1e-6
     assert heights[1] == pytest.approx(level, abs=1e-9)
 

@@ -65,6 +65,8 @@ class Swing:
         Duration of a whole swing of which only the descent remains; zero for a swing that starts on the ground [s].
     level : float
         Height of the ground at the start over that of the supporting sole [m].
+    still : float
+        Further fraction of the duration at the end without motion along the ground.
 
     Attributes
     ----------
@@ -75,7 +77,9 @@ class Swing:
         Landing position, which may be changed during the swing [m].
     """
 
-    def __init__(self, start: Array, goal: Array, height: float, descent: float = 0.0, level: float = 0.0) -> None:
+    def __init__(
+        self, start: Array, goal: Array, height: float, descent: float = 0.0, level: float = 0.0, still: float = 0.0
+    ) -> None:
         a, b = DQ(start), DQ(goal)
         half = 0.5 * (b * a.conj()).rotation_vector()
         x, y, z = a.translation()
@@ -87,7 +91,7 @@ class Swing:
             z, height = 0.0, z / _arch(done)[0]
         self.goal = b.translation()[:2]
         self.begun = done * descent
-        lift, land = _LIFT + _CLEAR * (climb > 0.0), _LAND + _CLEAR * (climb < 0.0)
+        lift, land = _LIFT + _CLEAR * (climb > 0.0), _LAND + _CLEAR * (climb < 0.0) + still
         self._path = np.array([z, height, *a.vec4(), *half, np.linalg.norm(half), level, climb, lift, land])
         self._state = np.array([done, self.begun, x, y, 0.0, 0.0])
 

@@ -379,7 +379,7 @@ class DynamicWalk(SteppingWalk):
             _, z = self._reference.at(t + self._drive.delay - self._advance)
         reaction = 0.0
         if flight is not None:  # the foot must be on the ground before the weight is transferred
-            down = flight.rule.duration - _DOWN_AHEAD * self._advance
+            down = flight.rule.duration - _DOWN_AHEAD * self._advance + self.config.dynamic.land_late
             place, velocity, acceleration = flight.swing.step(t, down)
             self._targets["swing"].set(self._ground.tipped(up, self._unsure, place), velocity)
             reaction = self.pendulum.swing * acceleration[0]
@@ -545,7 +545,8 @@ class DynamicWalk(SteppingWalk):
         descends, self._descends = self._descends, False
         start = (DQ(self._ground.tip(kin.up, self._unsure)).conj() * DQ(kin.pose(kin.swing))).vec8()
         whole, level = (rule.duration, 0.0) if descends else (0.0, self._level(kin))
-        swing = Swing(start, target, self.config.gait.step_height, whole, level)
+        still = d.land_late / (rule.duration + d.land_late)  # while the foot only comes down
+        swing = Swing(start, target, self.config.gait.step_height, whole, level, still)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
         self._flight = _Flight(rule, reference, step, swing, swing.goal, lost=self._confirmed if self._pushed else 0)
