@@ -38,8 +38,8 @@ _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
 _EVERY = 10
 """Number of states of which one is searched for links that touch each other."""
-_YIELDS, _LEADS, _SHORTER, _HALF = 0.4, 0.5, 0.7, 0.5
-"""Factors of ``servo.window``, ``servo.assumed_lead`` and two of the length of a step that may cure a dynamic walk."""
+_YIELDS, _SHORTER = 0.4, 0.7
+"""Factors of ``servo.window`` and of the length of a step that may cure a dynamic walk."""
 
 
 @dataclass(frozen=True)
@@ -130,9 +130,9 @@ def dynamic_walks(
     standing: Mapping[str, Any],
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk the dynamic walk in physics; if it falls or its report is not OK, change commands of servos, then the steps.
+    """Walk the dynamic walk in physics; if it falls or its report is not OK, let legs yield more, then shorten steps.
 
-    Shorter steps are tried with the servos of the best of the walks before, those of half the length with the first.
+    Shorter steps are tried with the legs of the better of the walks before.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
@@ -149,18 +149,16 @@ def dynamic_walks(
     config = load(found.folder / "dynamic.yaml")
     servo, gait = config.servo, config.gait
     yields = {"servo.window": rounded(max(_YIELDS * servo.window, 1e-3), 2)}
-    follows = {"servo.assumed_lead": rounded(_LEADS * servo.assumed_lead, 2)}
-    shorter, half = (
-        {
-            **{f"gait.{key}": rounded(part * getattr(gait, key), 2) for key in ("step_length", "most_length")},
-            "gait.steps": math.ceil(gait.steps / part),
-        }
-        for part in (_SHORTER, _HALF)
-    )
-    more, less = f"legs that yield more ({_YIELDS:g} times servo.window)", f"{_LEADS:g} times servo.assumed_lead"
-    short, least = (f"shorter steps ({part:g} times gait.step_length)" for part in (_SHORTER, _HALF))
+    shorter = {
+        **{f"gait.{key}": rounded(_SHORTER * getattr(gait, key), 2) for key in ("step_length", "most_length")},
+        "gait.steps": math.ceil(gait.steps / _SHORTER),
+    }
     none: dict[str, Any] = {}
-    tried = ("", none), (more, yields), (f"{more}, {less}", yields | follows), (short, shorter), (least, half)
+    tried = (
+        ("", none),
+        (f"legs that yield more ({_YIELDS:g} times servo.window)", yields),
+        (f"shorter steps ({_SHORTER:g} times gait.step_length)", shorter),
+    )
     entries, walks = changed(found.entries, standing, "changed after a fall"), list[Trial]()
     for what, changes in tried:
         # lengths given by the user are those of the standing walk
