@@ -34,6 +34,12 @@ TARGETS = {
     "dqwalk_ros/nodes/fall_watch.py": ("faults/test_liars.py",),
     "dqwalk_ros/nodes/answering.py": ("nodes/test_answering.py",),
     "dqwalk_ros/nodes/drive.py": ("nodes/test_drive.py", "faults/test_drive_battery.py"),
+    "dqwalk_ros/nodes/pilot.py": ("walks/test_steering.py", "nodes/test_plant.py"),
+    "dqwalk_ros/nodes/recorder.py": (
+        "faults/test_attacks.py",
+        "nodes/test_listening.py",
+        "interop/test_interoperability.py",
+    ),
     "dqwalk_ros/robot/limits.py": ("robot/test_limits.py", "plants/test_servo_goals.py"),
     "dqwalk_ros/plants/servo_goals.py": ("plants/test_servo_goals.py",),
     "dqwalk_ros/walks/dynamic/recovery.py": ("walks/test_recovery.py",),
@@ -46,6 +52,7 @@ TARGETS = {
         "plants/test_poppy_faults.py",
         "plants/test_poppy.py",
     ),
+    "dqwalk_ros/plants/poppy/motors.py": ("plants/test_poppy.py",),
     "dqwalk_ros/plants/poppy/plant.py": (
         "plants/test_poppy_faults.py",
         "plants/test_poppy.py",
