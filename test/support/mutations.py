@@ -31,7 +31,7 @@ TARGETS = {
     "dqwalk_ros/nodes/phase_log.py": ("nodes/test_phase_log.py",),
     "dqwalk_ros/report/viewer/guard.py": ("report/test_viewer.py",),
     "dqwalk_ros/nodes/inertial_sensor.py": ("nodes/test_inertial_sensor.py",),
-    "dqwalk_ros/nodes/fall_watch.py": ("faults/test_liars.py",),
+    "dqwalk_ros/nodes/fall_watch.py": ("nodes/test_fall_watch.py", "faults/test_liars.py"),
     "dqwalk_ros/nodes/answering.py": ("nodes/test_answering.py",),
     "dqwalk_ros/nodes/drive.py": ("nodes/test_drive.py", "faults/test_drive_battery.py"),
     "dqwalk_ros/nodes/pilot.py": ("walks/test_steering.py", "nodes/test_plant.py"),
