@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import shutil
+import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -143,6 +144,17 @@ def write_report(
     elif not output.quiet:
         print(table and f"{table}\n", end="")
         print("wrote " + ", ".join(map(str, files)))
+    elif wrong := _wrong(found):
+        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+        print(f"dqwalk: NOT OK: {wrong[0]}{more}", file=sys.stderr)  # why the exit code is not 0
+
+
+def _wrong(found: Any) -> list[str]:
+    """Return what is wrong according to the report of a walk."""
+    if not isinstance(found, dict) or found.get("ok", True):
+        return []
+    missed = [f"{name} is not reached" for name, check in found.get("checks", {}).items() if not check["ok"]]
+    return [violation["message"] for violation in found.get("violations", ())] + missed
 
 
 def write_results(series: Series, output: Report) -> dict[str, Any]:

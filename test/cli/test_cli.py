@@ -421,7 +421,12 @@ def test_a_step_too_long_fails_with_a_reason_and_a_bag(tmp_path, capsys):
     assert report["walk"]["finished"] is False
     assert report["ok"] is False
     assert [v["what"] for v in report["violations"]] == ["finished"]  # no constraint was violated
+    capsys.readouterr()
     assert cli.main(["report", str(tmp_path / "w/bag"), "--no-figures", "--quiet"]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert is_one_line(said.err)
+    assert said.err.startswith("dqwalk: NOT OK: the walk stopped before its end")
 
 
 def test_ctrl_c_saves_the_walk_so_far(tmp_path):
