@@ -145,8 +145,8 @@ def write_report(
         print(table and f"{table}\n", end="")
         print("wrote " + ", ".join(map(str, files)))
     elif wrong := _wrong(found):
-        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-        print(f"dqwalk: NOT OK: {wrong[0]}{more}", file=sys.stderr)  # why the exit code is not 0
+        others = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+        print(f"dqwalk: NOT OK: {wrong[0]}{others}", file=sys.stderr)  # why the exit code is not 0
 
 
 def _wrong(found: Any) -> list[str]:

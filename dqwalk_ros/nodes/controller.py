@@ -34,7 +34,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.simulation import warm_up
-from dqwalk_ros.support.errors import DqwalkError, StateError
+from dqwalk_ros.support.errors import DqwalkError, StateError, one_line
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
@@ -135,7 +135,8 @@ class Controller(AnsweringNode):
         # In real time only the newest state is of use; in lockstep every state must arrive.
         self.listen(JointState, "joint_states", self._on_state, 1 if self.lockstep else ros.best_effort(1))
         self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
-        self.create_subscription(String, "plant_warning", self._on_plant_warning, ros.latched())
+        for profile in (ros.latched(), ros.best_effort(1)):  # of any publisher: a warning must be heard
+            self.create_subscription(String, "plant_warning", self._on_plant_warning, profile)
         self._imu = (
             InertialSensor(self, self._model.imu_link, self._gate.inertial, self._take) if config.plant.imu else None
         )
@@ -310,23 +311,24 @@ class Controller(AnsweringNode):
 
     def _on_plant_warning(self, msg: String) -> None:
         """End the walk in a stance, because the plant would soon hold in mid-step; one that cannot stop is paused."""
-        before, self._plant_warning = self._plant_warning, msg.data
-        if before and not msg.data:
+        before, reason = self._plant_warning, one_line(msg.data)
+        self._plant_warning = reason
+        if before and not reason:
             self.get_logger().info("the plant has withdrawn its warning: a walk may begin")
-        if before or not msg.data:
+        if before or not reason:
             return
-        self.get_logger().warning(f"the plant warns: {msg.data}")
+        self.get_logger().warning(f"the plant warns: {reason}")
         if self._mode is not Mode.WALKING:
             return
         try:
             self._controller.stop()
         except DqwalkError as error:
             if self.lockstep:
-                self._end(f"{msg.data}; {error}")
+                self._end(f"{reason}; {error}")
             else:
                 self._pause(Trigger.Request(), Trigger.Response())
             return
-        self._ended_for = msg.data
+        self._ended_for = reason
         self.get_logger().info("stopping: after the current step the feet are put together")
 
     # ------------------------------------------------------------------ services

@@ -56,6 +56,11 @@ def shown(name: str) -> str:
     return ascii(name)[1:-1][:60]
 
 
+def one_line(text: str) -> str:
+    """Return a text that came from outside in one line of printable characters, at most 300."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())[:300]
+
+
 _ON_PYPI = {
     "daqp": "daqp",
     "distributed": "distributed",

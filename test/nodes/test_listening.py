@@ -14,8 +14,9 @@ from inside import state
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import String
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
@@ -119,3 +120,33 @@ def test_a_recorder_without_a_robot_has_not_failed(make: Any, tmp_path: Path) ->
     one = make("recorder", CONFIG, "--bag", str(tmp_path / "bag"))
     one.node.close()
     assert not one.node.done.done()
+
+
+@pytest.mark.parametrize(
+    "profile", [BEST_EFFORT, QoSProfile(depth=10), ros.latched()], ids=["sensor", "cli", "latched"]
+)
+def test_a_warning_is_heard_of_any_publisher_in_one_line(make: Any, domain: int, profile: Any) -> None:
+    """Such as of `ros2 topic pub`, which latches nothing; a latched one was published before."""
+    early = profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    one = None if early else make("controller", CONFIG)
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    battery = Node("battery", context=context)
+    try:
+        publisher = battery.create_publisher(String, "plant_warning", profile)
+        text = String(data="battery\n\x1b[31m at 9 %" + 10_000 * "!")
+        publisher.publish(text)
+        one = one or make("controller", CONFIG)
+        executor: Any = EventsExecutor(context=one.context)
+        executor.add_node(one.node)
+        deadline = time.monotonic() + 20.0
+        while not one.node._plant_warning and time.monotonic() < deadline:
+            if not early:
+                publisher.publish(text)
+            executor.spin_once(timeout_sec=0.05)
+        executor.remove_node(one.node)
+        assert one.node._plant_warning.startswith("battery [31m at 9 %")
+        assert len(one.node._plant_warning) == 300
+    finally:
+        battery.destroy_node()
+        context.try_shutdown()

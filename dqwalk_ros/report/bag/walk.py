@@ -38,7 +38,7 @@ from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.support.errors import BagError, one_line
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
 from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace, known_loads
 
@@ -218,7 +218,7 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
         notes.append("the walk failed: a phase could not end by its rule")
     warned = bag.columns.get("plant_warning")
     if warned is not None and (asked := next(filter(None, texts(warned)), "")):
-        notes.append(f"the plant has asked for the end of the walk: {asked}")
+        notes.append(f"the plant has asked for the end of the walk: {one_line(asked)}")
     finished, answered = last_phase == FINISHED, np.setdiff1d(np.arange(len(u)), unanswered)
     if len(answered) and "/" in last_phase and phases.is_last(bag, begun, int(stamps[answered[-1]]), q[answered[-1]]):
         finished = True
