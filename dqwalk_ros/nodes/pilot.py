@@ -61,7 +61,9 @@ class Pilot(WalkNode):
         self._begin = self._now = -1  # stamps [ns]
         self._steps = ClockSteps()
         self._waited = 0  # periods without a controller
+        self._ended = 0  # periods since the end of the course
         self._stop_request: Future | None = None
+        self._answered = ""  # what was logged of the last answer
         self._twists = self.create_publisher(Twist, "cmd_vel", 1)
         self._stopping = self.create_client(Trigger, "controller/stop")
         self.create_subscription(JointState, VELOCITY, self._on_command, ros.best_effort(1))
@@ -96,14 +98,15 @@ class Pilot(WalkNode):
             self._end()
 
     def _end(self) -> None:
-        """Call ~/stop of the controller until it succeeds."""
-        if self._stop_request is None:
-            if self._stopping.service_is_ready():
-                self._stop_request = self._stopping.call_async(Trigger.Request())
-            return
-        if not self._stop_request.done():
-            return
-        answer, self._stop_request = self._stop_request.result(), None
-        self.get_logger().info(f"end of the course; the controller answers: {answer.message}")
-        if answer.success:
-            self.stop(0)
+        """Call ~/stop of the controller until it succeeds, every 2 s: an answer may be lost, a pause may end."""
+        if (request := self._stop_request) is not None and request.done():
+            self._stop_request, text = None, f"end of the course; the controller answers: {request.result().message}"
+            if text != self._answered:
+                self.get_logger().info(text)
+            self._answered = text
+            if request.result().success:
+                self.stop(0)
+                return
+        if self._ended % _SILENT == 0 and self._stopping.service_is_ready():
+            self._stop_request = self._stopping.call_async(Trigger.Request())
+        self._ended += 1

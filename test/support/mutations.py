@@ -34,7 +34,7 @@ TARGETS = {
     "dqwalk_ros/nodes/fall_watch.py": ("nodes/test_fall_watch.py", "faults/test_liars.py"),
     "dqwalk_ros/nodes/answering.py": ("nodes/test_answering.py",),
     "dqwalk_ros/nodes/drive.py": ("nodes/test_drive.py", "faults/test_drive_battery.py"),
-    "dqwalk_ros/nodes/pilot.py": ("walks/test_steering.py", "nodes/test_plant.py"),
+    "dqwalk_ros/nodes/pilot.py": ("nodes/test_pilot.py",),
     "dqwalk_ros/nodes/recorder.py": (
         "faults/test_attacks.py",
         "nodes/test_listening.py",

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from inside import state
 
 import dqwalk_ros as dq
 from dqwalk_ros import report as reporting
@@ -200,27 +198,6 @@ def test_an_invalid_course_is_a_command_line_error(tmp_path: Path, capsys) -> No
     assert main(arguments) == 2
     assert "--cmd-vel wants" in capsys.readouterr().err
     assert not (tmp_path / "walk" / "bag").exists()
-
-
-def test_a_wrong_stamp_does_not_end_the_course_of_the_pilot(make: Any) -> None:
-    """Nor does a clock that is set."""
-    pilot = make("pilot", CONFIG, "--cmd-vel", "0.01,0,0,10")
-    pilot.node._twists.get_subscription_count = lambda: 1
-    for stamp in (*np.arange(1.0, 3.0, 0.1), 2e9, *np.arange(3.0, 5.0, 0.1), *np.arange(1e9, 1e9 + 7.0, 0.1)):
-        pilot.send("joint_velocity_commands", state([], [], stamp))
-        pilot.node._steer()
-    forward = [msg.linear.x for msg in pilot.got["cmd_vel"]]
-    assert 97 <= forward.count(0.01) <= 105  # 10 s, in which the time stands still for 3 states
-    assert forward[-1] == 0.0
-
-
-def test_the_pilot_says_after_2_s_and_every_10_s_that_it_waits_for_a_controller(make: Any) -> None:
-    pilot = make("pilot", CONFIG, "--cmd-vel", "0.01,0,0,1")
-    assert "a course of 1 s in 1 leg" in [line for _, line in pilot.log.lines]
-    for periods, times in ((19, 0), (1, 1), (99, 1), (1, 2)):
-        for _ in range(periods):
-            pilot.node._steer()
-        assert pilot.log.lines.count(("info", "waiting for a controller")) == times
 
 
 @pytest.mark.long
