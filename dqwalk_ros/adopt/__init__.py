@@ -61,6 +61,8 @@ _OVER = 0.1
 """Largest distance of the CoM from the middle of a sole that it can reach, as a part of that at which phases end."""
 _LONG = 0.66
 """Least length of a step, as a fraction of the usual one, for which the soles are not placed closer."""
+_HEAVY_FOOT = 0.1
+"""Part of the robot's mass above which that of a foot is doubtful."""
 _HIGH = 0.4, 1.6
 """Least and largest height of the origin of pelvis and root above the soles, as fractions of that of the hips."""
 
@@ -480,8 +482,12 @@ def _lock(urdf: Urdf, free: set[str]) -> tuple[str, ...]:
 
 
 def _mass_evidence(n: Numbers) -> list[Entry]:
-    ahead = 1e3 * n.standing.com[0]
+    ahead, model = 1e3 * n.standing.com[0], n.model
+    foot = max(model.bodies[model.frames[sole.frame].body].mass for sole in model.soles.values())
+    part = foot / model.mass
+    heavy = Entry("mass of a foot", f"{foot:.3g} kg, {100 * part:.0f} % of the robot", "2 to 6 % are usual", "guess")
     return [
+        *([heavy] if part > _HEAVY_FOOT else []),
         Entry("mass", f"{n.model.mass:.4g} kg", "sum of the links"),
         Entry("CoM in the posture", f"{ahead:.1f} mm forward, {n.height:.3f} m up", "posture"),
         Entry("m g h", f"{n.mgh:.4g} N m/rad", "mass and height of the CoM"),

@@ -17,7 +17,7 @@ import trimesh
 from robots import edited
 
 from dqwalk_ros import cli
-from dqwalk_ros.adopt import adopt, posture
+from dqwalk_ros.adopt import _mass_evidence, adopt, posture
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.description import description_in
@@ -573,6 +573,18 @@ def test_the_damping_of_light_legs_is_that_of_legs_with_rotors() -> None:
         swinging = numbers.inertia + armature
         ratio = 0.5 * numbers.damping(20.0, 0.5, armature) * math.sqrt(20.0 / swinging)
         assert ratio == pytest.approx(0.5, rel=0.03)
+
+
+@pytest.mark.parametrize("part", [0.03, 0.2])
+def test_a_foot_that_weighs_a_fifth_of_the_robot_is_doubted(part: float) -> None:
+    urdf = Urdf.load(SMALL)
+    foot, total = urdf.links["l_foot"].inertial, sum(link.inertial.mass for link in urdf.links.values())
+    foot.mass = part / (1.0 - part) * (total - foot.mass)
+    model = small_model(urdf)
+    standing = Standing(np.zeros(model.n), 0.3 * Z, 0.3, error=0.0, knee=0.0, off=0.0)
+    numbers = Numbers(model, anatomy_of(urdf), standing, 0.0, "", {}, 0.0, ())
+    doubts = [entry.value for entry in _mass_evidence(numbers) if entry.confidence == "guess"]
+    assert doubts == ([f"{foot.mass:.3g} kg, 20 % of the robot"] if part > 0.1 else [])
 
 
 def test_weak_fast_servos_have_light_rotors(tmp_path: Path) -> None:
