@@ -18,7 +18,14 @@ import numpy as np
 
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
-from dqwalk_ros.adopt.doubts import check_density, check_names, repair_degrees, repair_inertias, use_led_joints
+from dqwalk_ros.adopt.doubts import (
+    check_density,
+    check_names,
+    list_massless,
+    repair_degrees,
+    repair_inertias,
+    use_led_joints,
+)
 from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
 from dqwalk_ros.adopt.parameters import (
     LONGEST,
@@ -186,6 +193,7 @@ def _adopted(
     use_led_joints(urdf)
     anatomy = find_anatomy(urdf, shapes, **sides)
     check_density(str(path), urdf, anatomy.leg)
+    list_massless(urdf)
     repair_inertias(urdf, shapes, anatomy.leg)
     anatomy = replace(anatomy, pelvis=_add_frames(urdf, anatomy))
     soles = _add_soles(urdf, anatomy)

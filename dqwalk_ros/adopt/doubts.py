@@ -16,7 +16,15 @@ from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["check_density", "check_names", "check_sizes", "repair_degrees", "repair_inertias", "use_led_joints"]
+__all__ = [
+    "check_density",
+    "check_names",
+    "check_sizes",
+    "list_massless",
+    "repair_degrees",
+    "repair_inertias",
+    "use_led_joints",
+]
 
 
 _MEANT = set("=*?[")
@@ -102,6 +110,16 @@ def check_density(source: str, urdf: Urdf, leg: float) -> None:
         wanted = (mass / (_USUAL * leg**3)) ** (1.0 / 3.0)
         unit = min(_UNITS, key=lambda unit: abs(math.log(unit / wanted)))
         raise ModelError(f"{about}: are the lengths in {_UNITS[unit]}?")
+
+
+def list_massless(urdf: Urdf) -> None:
+    """List the bodies that have shapes and no mass: they move the CoM away from where the robot has it."""
+    bodies = [urdf.root, *(joint.child for joint in urdf.joints.values() if moves(joint))]
+    fixed = {name: [urdf.links[link] for link in urdf.fixed_to(name)] for name in bodies}
+    shaped = [name for name, links in fixed.items() if any(link.visuals or link.collisions for link in links)]
+    if lost := [f"'{name}'" for name in shaped if not sum(link.inertial.mass for link in fixed[name]) > 0.0]:
+        what = "has a shape" if len(lost) == 1 else "have shapes"
+        urdf.repairs.append(f"{', '.join(lost)} {what} and no mass: <inertial> may be missing")
 
 
 def repair_inertias(urdf: Urdf, shapes: Shapes, leg: float) -> None:

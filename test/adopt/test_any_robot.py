@@ -21,7 +21,7 @@ from dqwalk_ros.adopt import _mass_evidence, adopt, posture
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.description import description_in
-from dqwalk_ros.adopt.doubts import check_density, repair_degrees, repair_inertias, use_led_joints
+from dqwalk_ros.adopt.doubts import check_density, list_massless, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.legs import axes_differ, bent, freedom, leg_of
 from dqwalk_ros.adopt.parameters import Numbers, servo_types
 from dqwalk_ros.adopt.picture import _bones
@@ -573,6 +573,17 @@ def test_the_damping_of_light_legs_is_that_of_legs_with_rotors() -> None:
         swinging = numbers.inertia + armature
         ratio = 0.5 * numbers.damping(20.0, 0.5, armature) * math.sqrt(20.0 / swinging)
         assert ratio == pytest.approx(0.5, rel=0.03)
+
+
+def test_bodies_with_shapes_and_without_mass_are_listed() -> None:
+    urdf = Urdf.load(SMALL)
+    list_massless(urdf)
+    assert urdf.repairs == []
+    for name in (urdf.root, "l_foot"):
+        urdf.links[name].inertial.mass = 0.0
+    list_massless(urdf)
+    assert [text.partition(",")[0] for text in urdf.repairs] == [f"'{urdf.root}'"]
+    assert "'l_foot' have shapes and no mass" in urdf.repairs[0]
 
 
 @pytest.mark.parametrize("part", [0.03, 0.2])
