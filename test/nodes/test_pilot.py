@@ -25,6 +25,9 @@ def test_a_wrong_stamp_does_not_end_the_course_of_the_pilot(make: Any) -> None:
     forward = [msg.linear.x for msg in pilot.got["cmd_vel"]]
     assert 97 <= forward.count(0.01) <= 105  # 10 s, in which the time stands still for 3 states
     assert forward[-1] == 0.0
+    now = pilot.node._now
+    pilot.send("joint_velocity_commands", state([], [], 5.0))
+    assert pilot.node._now == now
 
 
 def test_the_pilot_says_after_2_s_and_every_10_s_that_it_waits_for_a_controller(make: Any) -> None:
@@ -46,6 +49,9 @@ def test_the_end_of_a_course_is_asked_for_until_the_controller_agrees(make: Any)
         return asked[-1]
 
     ready = [False]
+    pilot.send("joint_velocity_commands", state([], [], 1.0))
+    pilot.node._steer()
+    assert not pilot.got["cmd_vel"], "no node subscribes"
     pilot.node._twists.get_subscription_count = lambda: 1
     pilot.node._stopping = SimpleNamespace(service_is_ready=lambda: ready[0], call_async=call, destroy=lambda: None)
 
@@ -69,9 +75,10 @@ def test_the_end_of_a_course_is_asked_for_until_the_controller_agrees(make: Any)
     assert steer(1) == 2, "the first answer is lost"
     asked[-1].set_result(Trigger.Response(success=False, message="not walking: paused"))
     assert steer(20) == 3
+    text = "end of the course; the controller answers: not walking: paused"
+    assert pilot.log.lines.count(("info", text)) == 1
     asked[-1].set_result(Trigger.Response(success=False, message="not walking: paused"))
     assert steer(20) == 4
-    text = "end of the course; the controller answers: not walking: paused"
     assert pilot.log.lines.count(("info", text)) == 1
     assert not pilot.node.done.done()
     asked[-1].set_result(Trigger.Response(success=True, message="stopping"))
