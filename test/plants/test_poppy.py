@@ -121,12 +121,17 @@ def test_a_motor_without_properties_is_refused(tmp_path: Path) -> None:
 def test_a_table_without_motors_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected 'motors"):
         read_table(tmp_path)
+    (tmp_path / "list.yaml").write_text("motors: [l_knee_y]\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="expected 'motors"):
+        load_motors(str(tmp_path / "list.yaml"), TYPES)
 
 
 def test_the_extreme_values_of_a_motor_table_are_accepted(tmp_path: Path) -> None:
     first = {**MOTOR, "id": "0", "offset": "-360", "raw": "[-360, 360]"}
     motors = read_table(tmp_path, first, {**MOTOR, "id": "252", "offset": "360"})
     assert [motor.id for motor in motors] == [0, 252]
+    with pytest.raises(ConfigError, match="-360.*offset"):
+        read_table(tmp_path, {**MOTOR, "offset": "-361"})
 
 
 # ---------------------------------------------------------------------- speeds, stiffness
