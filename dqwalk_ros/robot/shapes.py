@@ -270,7 +270,7 @@ def meshes_of(urdf: Urdf, near: pathlib.Path) -> list[tuple[str, Surface]]:
 
 
 def make_convex(urdf: Urdf, near: pathlib.Path) -> dict[str, bytes]:
-    """Replace the collision meshes of a robot by their convex hulls and remove its visual shapes.
+    """Replace the collision meshes of a robot by their convex hulls; remove visual shapes, and those without volume.
 
     Parameters
     ----------
@@ -294,7 +294,9 @@ def make_convex(urdf: Urdf, near: pathlib.Path) -> dict[str, bytes]:
     shapes, files = Shapes(urdf, near), dict[str, bytes]()
     for name, link in urdf.links.items():
         link.visuals.clear()
-        for shape in link.collisions:
+        solid = [shape for shape in link.collisions if all(kind_and_size(shape)[1])]
+        link.collisions[:] = solid
+        for shape in solid:
             if (mesh := shape.geometry.mesh) is None:
                 continue
             if (surface := shapes.surface(link, shape)) is None:

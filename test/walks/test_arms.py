@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -383,7 +384,9 @@ def test_the_engine_counts_contacts_between_links() -> None:
     inward = MODEL.posture([*CONFIG.standing.posture, "l_shoulder_x=-0.3"])
     crossed = MODEL.posture([*CONFIG.standing.posture, "?_hip_z=0.5", "l_hip_x=-0.3"])
     assert not own_contacts(MODEL, np.array([hanging, hanging]))
-    found = own_contacts(MODEL, np.array([hanging, inward, inward, crossed]))
+    point = '<collision><geometry><sphere radius="0"/></geometry></collision></link>'  # a contact point of Drake
+    pointed = replace(MODEL, urdf=MODEL.urdf.replace("</link>", point))
+    found = own_contacts(pointed, np.array([hanging, inward, inward, crossed]))
     assert found["l_forearm, pelvis"] == 2
     assert found["l_shin, r_shin"] == 1
     assert not own_contacts(MODEL, np.array([inward, inward]))  # as in the first state
