@@ -130,7 +130,7 @@ def test_the_extreme_values_of_a_motor_table_are_accepted(tmp_path: Path) -> Non
     first = {**MOTOR, "id": "0", "offset": "-360", "raw": "[-360, 360]"}
     motors = read_table(tmp_path, first, {**MOTOR, "id": "252", "offset": "360"})
     assert [motor.id for motor in motors] == [0, 252]
-    with pytest.raises(ConfigError, match="-360.*offset"):
+    with pytest.raises(ConfigError, match=r"-360.*offset"):
         read_table(tmp_path, {**MOTOR, "offset": "-361"})
 
 
