@@ -50,7 +50,7 @@ from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.robot.urdf import Urdf, moves, zero_pose
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ModelError, OutputError, printable
+from dqwalk_ros.support.errors import ModelError, OutputError, missing, printable
 from dqwalk_ros.support.output import refuse_existing, write_text
 from dqwalk_ros.support.text_table import aligned
 
@@ -164,6 +164,8 @@ def adopt(
     path, folder = pathlib.Path(path), pathlib.Path(folder)
     _check_places(path, folder, overwrite=overwrite)
     progress(0.0, "reading the robot")
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ModelError(missing("robot", path))
     urdf, drives = load_mjcf(path, package_paths) if is_mjcf(path) else (Urdf.load(path, package_paths, xacro), {})
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
     sides = {"left": left, "right": right, "forward": forward}

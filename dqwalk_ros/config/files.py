@@ -17,7 +17,7 @@ import yaml
 from dqwalk_ros.config.schema import Value
 from dqwalk_ros.config.sections import Config
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError, listed
+from dqwalk_ros.support.errors import ConfigError, listed, missing
 from dqwalk_ros.support.node_table import NODES
 
 __all__ = [
@@ -66,7 +66,7 @@ def find_config(source: str | os.PathLike[str]) -> pathlib.Path:
     if path.is_file():
         return path
     if path.suffix or len(path.parts) > 1:
-        raise ConfigError(f"no configuration file '{path}'")
+        raise ConfigError(missing("configuration", path))
     if str(path) not in SHIPPED:
         raise ConfigError(f"no configuration '{path}': neither a file nor one of {', '.join(SHIPPED)}")
     return find_share("config", f"{path}.yaml")
@@ -215,7 +215,7 @@ def with_files(config: Config, files: Iterable[pathlib.Path]) -> Config:
         if not path.is_file() and str(path) == path.stem:
             path = find_share("config/overlays", f"{path}.yaml")
         if not path.is_file():
-            raise ConfigError(f"no parameter file '{path}'")
+            raise ConfigError(missing("parameter", path))
         config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)
     return config
 

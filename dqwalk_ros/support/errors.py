@@ -6,6 +6,7 @@ import os
 import re
 import traceback
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 
 __all__ = [
     "BagError",
@@ -22,7 +23,9 @@ __all__ = [
     "how_to_install",
     "kinds",
     "listed",
+    "missing",
     "not_imported",
+    "one_line",
     "printable",
     "shown",
 ]
@@ -54,6 +57,13 @@ def printable(text: str) -> str:
 def shown(name: str) -> str:
     """Return a name that came from outside, as `listed` does."""
     return ascii(name)[1:-1][:60]
+
+
+def missing(what: str, path: Path) -> str:
+    """Return that a file is missing, or that it is a pipe, as of ``<(...)``, which cannot be read twice."""
+    if path.exists() and not path.is_dir():
+        return f"'{path}' is a pipe or a device: write its content into a file"
+    return f"no {what} file '{path}'"
 
 
 def one_line(text: str) -> str:

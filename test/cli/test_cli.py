@@ -177,6 +177,15 @@ def test_doctor_has_params(tmp_path, capsys):
     assert "no parameter file" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [["config"], ["config", "--params"], ["adopt", "--yes", "--no-walk"]])
+def test_a_pipe_is_not_called_missing_or_damaged(tmp_path, capsys, words):
+    """As of `<(xacro robot.xacro)` in a shell: it exists, but can be read only once."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    assert cli.main([*words, str(pipe), *(["paper"] if "--params" in words else [])]) == 2
+    assert capsys.readouterr().err == f"dqwalk: '{pipe}' is a pipe or a device: write its content into a file\n"
+
+
 def test_config_of_one_section(capsys):
     assert cli.main(["config", "--section", "ssp"]) == 0
     out = capsys.readouterr().out
