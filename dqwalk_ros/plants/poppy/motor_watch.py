@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import PoppyConfig
-from dqwalk_ros.plants.poppy.dynamixel import DAMAGED, ERROR_BITS, FULL_TORQUE, SILENT, UNSENT, DynamixelBus
+from dqwalk_ros.plants.poppy.dynamixel import DAMAGED, ERROR_BITS, FULL_TORQUE, SILENT, UNSENT, DynamixelBus, Registers
 from dqwalk_ros.plants.servo_goals import JUMPS
 from dqwalk_ros.support.arrays import Array, Mask
 
@@ -66,6 +67,22 @@ class Measured:
     jumps: NDArray[np.intp]
     load: Array
     runaway: Mask
+
+
+class _Limit(NamedTuple):
+    """A limit of a motor, by how much a reading exceeds it and how near it is a warning; both in words, and the remedy.
+
+    `alarm` is whether the motor itself reports that it is beyond its limit.
+    """
+
+    kind: str
+    at: float
+    excess: float
+    near: float
+    reading: str
+    beyond: str
+    remedy: str
+    alarm: bool = False
 
 
 class MotorWatch:
@@ -199,21 +216,40 @@ class MotorWatch:
                     f"{name} has lost its torque or its gain: was its power cut, or has another program written to it? "
                     "support the robot, then ~/activate"
                 )
-        c, hot, low = self._config, registers.temperature, registers.voltage
-        cool, charge = "let it cool (poppy.hot)", "charge the battery (poppy.low_voltage)"
-        alarm = bool(bus.error[i] & 1)
-        outside = "outside of the limits in its registers; check battery and supply"
-        beyond = outside if alarm and low >= c.low_voltage else f"too little; {charge}"
-        for kind, excess, near, bad, text, why, limit, remedy in (
-            ("hot", hot - c.hot, _COOLER, False, f"is at {hot:.0f} degC", f"too hot; {cool}", c.hot, cool),
-            ("voltage", c.low_voltage - low, _FULLER, alarm, f"has {low:.1f} V", beyond, c.low_voltage, charge),
-        ):
-            key, soon = f"{kind}/{name}", f"soon {kind}/{name}"
-            is_bad = bad or excess > -near * (key in self.passing)
-            self._report_repeated(key, is_bad, new, f"{name} {text}, {why}", found)
-            is_near = excess > -near * (1 + (soon in self.warnings))
-            then = f"the robot holds at {limit:g}; {remedy}"
-            self._report_repeated(soon, is_near, new, f"{name} {text}, {then}", warnings)
+        for limit in self._limits(registers, alarm=bool(bus.error[i] & 1)):
+            self._compare(name, limit, new, found, warnings)
+
+    def _limits(self, registers: Registers, *, alarm: bool) -> tuple[_Limit, _Limit]:
+        """Return temperature and supply voltage beside their limits; `alarm` is the motor's own of its voltage."""
+        hot, low = self._config.hot, self._config.low_voltage
+        charge = "charge the battery (poppy.low_voltage)"
+        beyond = f"too little; {charge}"
+        if alarm and registers.voltage >= low:
+            beyond = "outside of the limits in its registers; check battery and supply"
+        cool = "let it cool (poppy.hot)"
+        heat, supply = f"is at {registers.temperature:.0f} degC", f"has {registers.voltage:.1f} V"
+        return (
+            _Limit("hot", hot, registers.temperature - hot, _COOLER, heat, f"too hot; {cool}", cool),
+            _Limit(
+                "voltage",
+                low,
+                low - registers.voltage,
+                _FULLER,
+                f"has {registers.voltage:.1f} V",
+                beyond,
+                charge,
+                alarm,
+            ),
+        )
+
+    def _compare(self, name: str, limit: _Limit, new: bool, found: dict[str, str], warnings: dict[str, str]) -> None:
+        """Report a motor that is beyond a limit as a fault, and one that is near it as a warning."""
+        key, soon = f"{limit.kind}/{name}", f"soon {limit.kind}/{name}"
+        beyond = limit.alarm or limit.excess > -limit.near * (key in self.passing)
+        self._report_repeated(key, beyond, new, f"{name} {limit.reading}, {limit.beyond}", found)
+        near = limit.excess > -limit.near * (1 + (soon in self.warnings))
+        text = f"{name} {limit.reading}, the robot holds at {limit.at:g}; {limit.remedy}"
+        self._report_repeated(soon, near, new, text, warnings)
 
     def _report_repeated(self, key: str, bad: bool, new: bool, text: str, found: dict[str, str]) -> None:
         """Report a fault, or a warning, at its second consecutive reading."""
