@@ -230,16 +230,7 @@ class MotorWatch:
         heat, supply = f"is at {registers.temperature:.0f} degC", f"has {registers.voltage:.1f} V"
         return (
             _Limit("hot", hot, registers.temperature - hot, _COOLER, heat, f"too hot; {cool}", cool),
-            _Limit(
-                "voltage",
-                low,
-                low - registers.voltage,
-                _FULLER,
-                f"has {registers.voltage:.1f} V",
-                beyond,
-                charge,
-                alarm,
-            ),
+            _Limit("voltage", low, low - registers.voltage, _FULLER, supply, beyond, charge, alarm),
         )
 
     def _compare(self, name: str, limit: _Limit, new: bool, found: dict[str, str], warnings: dict[str, str]) -> None:
