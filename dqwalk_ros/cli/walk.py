@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ import click
 
 from dqwalk_ros.cli.options import Report, command, output_options, walk_options
 from dqwalk_ros.plants.table import PLANTS
-from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.support.errors import BagError, ConfigError
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
 if TYPE_CHECKING:
@@ -39,8 +40,13 @@ def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, ou
     from dqwalk_ros.cli.results import prepare, write_results
     from dqwalk_ros.cli.runner import run_walk
     from dqwalk_ros.report import analyse, bag
+    from dqwalk_ros.walks.table import walk_type
 
     check_ros_environment()
+    if not course and not walk_type(config).phases(config):
+        if "ROS_DOMAIN_ID" not in os.environ:  # the nodes are in a domain of their own
+            raise ConfigError("the walk is steered: add --cmd-vel, or set ROS_DOMAIN_ID and publish cmd_vel")
+        print("waiting for cmd_vel; controller/stop ends the walk", file=sys.stderr)
     prepare(output.folder, "report.json", "log", force=output.force)
     with Progress(quiet=output.quiet) as progress:
         outcome = run_walk(

@@ -211,6 +211,7 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["config", "paper", "--section", "gait"], "leave out CONFIG"),
         (["simulate", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
         (["walk", "--config", "poppy", "--set", "gait.steps=4", "--cmd-vel", "0.1,0,0,5"], "gait.steps=0"),
+        (["walk", "--config", "poppy", "--set", "gait.steps=0"], "add --cmd-vel, or set ROS_DOMAIN_ID"),
         (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
         (["config", "paper", "--set", "ssp.com_radius"], "KEY=VALUE"),
         (["config", "poppy", "--check", "--set", "collision.pairs=[shin=r_shin]"], "no link 'shin'"),
@@ -233,6 +234,7 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
 )
 def test_an_invalid_configuration_gives_one_line_and_exit_code_2(arguments, expected, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     assert cli.main(arguments) == 2
     output = capsys.readouterr().err
     assert is_one_line(output), output
