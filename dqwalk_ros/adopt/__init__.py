@@ -39,7 +39,7 @@ from dqwalk_ros.adopt.parameters import (
     servo_types,
     whole_body_parameters,
 )
-from dqwalk_ros.adopt.posture import at_limits, over_one_foot, stand
+from dqwalk_ros.adopt.posture import at_limits, over_one_foot, stand, why_not
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -329,16 +329,17 @@ def _standing(model: RobotModel, anatomy: Anatomy) -> tuple[Numbers, float]:
     """Return the quantities of the walk, and how near the CoM comes to the middle of a sole [m]; see `_numbers`."""
     standing = stand(model, anatomy)
     single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
-    worst, deviation = max(single, key=lambda one: one[1])
+    worst = max(single, key=lambda one: one.error)
+    deviation = worst.error
     if deviation > 0.25 * anatomy.soles[Foot.LEFT].width + 0.005:
         raise ModelError(
             f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance "
-            f"from its middle is {1e3 * deviation:.0f} mm{at_limits(model, anatomy, worst)}"
+            f"from its middle is {1e3 * deviation:.0f} mm{why_not(model, anatomy, worst)}"
         )
     numbers = Numbers.of(model, anatomy, standing)
     if numbers.step < _SHORTEST * anatomy.leg:
         raise ModelError(
-            f"the legs reach steps of {1e3 * numbers.reach:.1f} mm only: "
+            f"the legs reach steps of {1e3 * max(0.0, numbers.reach):.1f} mm only: "
             f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
         )
     return numbers, deviation
@@ -496,8 +497,11 @@ def _mass_evidence(n: Numbers) -> list[Entry]:
     foot = max(model.bodies[model.frames[sole.frame].body].mass for sole in model.soles.values())
     part = foot / model.mass
     heavy = Entry("mass of a foot", f"{foot:.3g} kg, {100 * part:.0f} % of the robot", "2 to 6 % are usual", "guess")
+    stuck = ", ".join([] if n.standing.margin else at_limits(model, n.standing))
+    limits = Entry("at a limit in the posture", stuck, "there is no posture without", "guess")
     return [
         *([heavy] if part > _HEAVY_FOOT else []),
+        *([limits] if stuck else []),
         Entry("mass", f"{n.model.mass:.4g} kg", "sum of the links"),
         Entry("CoM in the posture", f"{ahead:.1f} mm forward, {n.height:.3f} m up", "posture"),
         Entry("m g h", f"{n.mgh:.4g} N m/rad", "mass and height of the CoM"),

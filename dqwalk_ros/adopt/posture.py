@@ -17,15 +17,15 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["Standing", "at_limits", "leg_axes", "over_one_foot", "stand"]
+__all__ = ["Standing", "at_limits", "leg_axes", "over_one_foot", "stand", "why_not"]
 
 
 _BENT = 0.96
 """Distance of hip and ankle as a fraction of the largest one within the limits of the knee."""
 _UNBENT = 0.02
 """Largest difference of the length of a leg from the wanted one, as a fraction of this, in a good posture."""
-_MARGIN = 0.05
-"""Least distance of joints from their limits [rad]; a tenth of their range if that is less."""
+_MARGINS = 0.05, 0.0
+"""Least distance of joints from their limits [rad], a tenth of their range if that is less: without one if need be."""
 _LEVER = 0.3
 """Lever by which angles are compared with lengths, as a fraction of the leg length [1/rad]."""
 _TRUNK = 10.0
@@ -54,6 +54,8 @@ class Standing:
         Mean distance of the knees in front of the line from hip to ankle [m].
     off : float
         Largest difference of the length of a leg from the wanted one, as a fraction of this.
+    margin : float
+        Least distance of the joints from their limits that was required [rad].
     """
 
     q: Array
@@ -62,10 +64,13 @@ class Standing:
     error: float
     knee: float
     off: float
+    margin: float
 
 
 def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
     """Find the standing posture, with the knees in front of the legs if there is such a posture.
+
+    Joints are at a limit only if there is no posture without, as with hips that yaw or roll outwards only.
 
     Parameters
     ----------
@@ -80,49 +85,62 @@ def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
         If no posture has both soles level side by side and the CoM over their middle; the message names the joints at
         their limits.
     """
+    found = list[Standing]()
+    for margin in _MARGINS:
+        found = _standings(model, anatomy, bend, margin)
+        good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
+        if good:
+            # prefer bent legs to stretched ones, in which a search ends as well, knees in front of the legs, and
+            # smaller angles
+            return max(good, key=lambda one: (one.off < _UNBENT, one.knee > 0.0, -float(np.abs(one.q).sum())))
+    best = min(found, key=lambda one: one.error)
+    raise ModelError(
+        f"no posture was found with both soles level, {1e3 * anatomy.apart:.0f} mm apart, and the CoM over their "
+        f"middle: the error of the best posture is {1e3 * best.error:.1f} mm{why_not(model, anatomy, best)}"
+    )
+
+
+def _standings(model: RobotModel, anatomy: Anatomy, bend: float, margin: float) -> list[Standing]:
+    """Return postures that were searched from several ones, with a `margin` of the joints to their limits [rad]."""
     straight, start = np.zeros(model.n), np.zeros(model.n)
     for joints, axes, leg in leg_axes(model, anatomy):
         start[joints] = bent(axes, leg.knee, Y)
         straight[joints[leg.knee]] = leg.stretched(axes[leg.knee])
-    found = [_solve(model, anatomy, bend, straight + way * start) for way in (1.0, -1.0)]
+    found = [_solve(model, anatomy, bend, straight + way * start, margin) for way in (1.0, -1.0)]
     random = np.random.default_rng(0)
     while len(found) < _STARTS and min(one.error for one in found) > _LEAST * max(anatomy.leg, 0.2):
-        found.append(_solve(model, anatomy, bend, straight + start + random.uniform(-0.5, 0.5, model.n)))
-    good = [one for one in found if one.error < _LEAST * max(anatomy.leg, 0.2)]
-    if not good:
-        best = min(found, key=lambda one: one.error)
-        raise ModelError(
-            f"no posture was found with both soles level, {1e3 * anatomy.apart:.0f} mm apart, and the CoM over their "
-            f"middle: the error of the best posture is {1e3 * best.error:.1f} mm{at_limits(model, anatomy, best.q)}"
-        )
-    # prefer bent legs to stretched ones, in which a search ends as well, knees in front of the legs, and smaller angles
-    return max(good, key=lambda one: (one.off < _UNBENT, one.knee > 0.0, -float(np.abs(one.q).sum())))
+        found.append(_solve(model, anatomy, bend, straight + start + random.uniform(-0.5, 0.5, model.n), margin))
+    return found
 
 
-def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot: Foot) -> tuple[Array, float]:
-    """Return a posture (n,) [rad] with the CoM over one sole and both soles level, and its largest error [m]."""
+def over_one_foot(model: RobotModel, anatomy: Anatomy, standing: Standing, foot: Foot) -> Standing:
+    """Return the posture with the CoM over one sole and both soles level, as far from the limits as `standing`."""
     y = 0.0 if foot is Foot.LEFT else -anatomy.apart
-    best = _solve(model, anatomy, _BENT, standing.q, com=(0.0, y), free_pelvis=True)
-    return best.q, best.error
+    return _solve(model, anatomy, _BENT, standing.q, standing.margin, com=(0.0, y), free_pelvis=True)
 
 
-def at_limits(model: RobotModel, anatomy: Anatomy, q: Array) -> str:
-    """Return what keeps a posture (n,) [rad] from being better, as the end of a message."""
-    low, high = _bounds(model)
-    stuck = [
+def at_limits(model: RobotModel, posture: Standing) -> list[str]:
+    """Return the joints that are at the limits of a posture, with their angles and ranges."""
+    q = posture.q
+    low, high = _bounds(model, posture.margin)
+    return [
         f"'{name}' at {q[k]:.2f} of {model.q_min[k]:.2f} to {model.q_max[k]:.2f} rad"
         for k, name in enumerate(model.joint_names)
         if min(q[k] - low[k], high[k] - q[k]) < 2e-3
     ]
-    if stuck:
+
+
+def why_not(model: RobotModel, anatomy: Anatomy, posture: Standing) -> str:
+    """Return what keeps a posture from being better, as the end of a message."""
+    if stuck := at_limits(model, posture):
         return f"; at their limits are {', '.join(stuck)}"
     return "" if anatomy.sideways else "; its legs cannot move the pelvis sideways over flat soles"
 
 
-def _bounds(model: RobotModel) -> tuple[Array, Array]:
+def _bounds(model: RobotModel, margin: float) -> tuple[Array, Array]:
     """Return the range of the joints in a posture, both of shape (n,) [rad]."""
-    margin = np.minimum(_MARGIN, 0.1 * (model.q_max - model.q_min))
-    return model.q_min + margin, model.q_max - margin
+    away = np.minimum(margin, 0.1 * (model.q_max - model.q_min))
+    return model.q_min + away, model.q_max - away
 
 
 def leg_axes(model: RobotModel, anatomy: Anatomy) -> list[tuple[list[int], Array, Leg]]:
@@ -141,23 +159,34 @@ def leg_axes(model: RobotModel, anatomy: Anatomy) -> list[tuple[list[int], Array
     return out
 
 
+def _leg_points(
+    model: RobotModel, anatomy: Anatomy, low: Array, high: Array
+) -> list[tuple[list[tuple[str, Array]], float]]:
+    """Return hip on the pelvis, knee, and ankle on the foot of each leg as links and points of these, and its length.
+
+    That is the largest one with the knee between its angles in `low` and `high` (n,) [rad].
+    """
+    zero, out = Kinematics(model, np.zeros(model.n), Foot.LEFT), []
+    links = {body.joint: link for body, link in zip(model.bodies, model.links, strict=True)}
+    for joints, axes, leg in leg_axes(model, anatomy):
+        on = (model.pelvis, leg.hip), (links[joints[leg.knee]], leg.middle), (links[joints[-1]], leg.ankle)
+        points = [(link, DQ(zero.pose(link)).conj().transform_point(p)) for link, p in on]
+        knee = joints[leg.knee]
+        out.append((points, leg.longest(axes[leg.knee], low[knee], high[knee])))
+    return out
+
+
 def _solve(
     model: RobotModel,
     anatomy: Anatomy,
     bend: float,
     start: Array,
+    margin: float,
     com: tuple[float, float] | None = None,
     free_pelvis: bool = False,
 ) -> Standing:
-    zero = Kinematics(model, np.zeros(model.n), Foot.LEFT)
-    links = {body.joint: link for body, link in zip(model.bodies, model.links, strict=True)}
-    low, high = _bounds(model)
-    legs = []  # of each: hip on the pelvis, knee, ankle on the foot, as links and points of these; greatest length
-    for joints, axes, leg in leg_axes(model, anatomy):
-        on = (model.pelvis, leg.hip), (links[joints[leg.knee]], leg.middle), (links[joints[-1]], leg.ankle)
-        points = [(link, DQ(zero.pose(link)).conj().transform_point(p)) for link, p in on]
-        knee = joints[leg.knee]
-        legs.append((points, leg.longest(axes[leg.knee], low[knee], high[knee])))
+    low, high = _bounds(model, margin)
+    legs = _leg_points(model, anatomy, low, high)
     wanted = (0.0, -0.5 * anatomy.apart) if com is None else com
     right = model.soles[Foot.RIGHT].frame
     lever = _LEVER * anatomy.leg
@@ -205,4 +234,5 @@ def _solve(
         error=float(np.abs(constraints(q)).max()),
         knee=float(np.mean(knees)),
         off=off,
+        margin=margin,
     )

@@ -554,7 +554,7 @@ def test_the_com_reaches_the_middle_of_a_sole_where_a_distance_of_the_soles_allo
     wide = anatomy_of(urdf)
     found = adopt(written(tmp_path, urdf), tmp_path / "out")
     assert found.anatomy.apart == pytest.approx(part * wide.apart, rel=1e-3)
-    misses = [posture.over_one_foot(found.model, found.anatomy, found.numbers.standing, foot)[1] for foot in Foot]
+    misses = [posture.over_one_foot(found.model, found.anatomy, found.numbers.standing, foot).error for foot in Foot]
     assert max(misses) < 0.1 * found.config.standing.com_threshold
 
 
@@ -567,7 +567,7 @@ def test_legs_that_touch_or_cannot_move_sideways_stand_no_closer() -> None:
 def test_the_damping_of_light_legs_is_that_of_legs_with_rotors() -> None:
     urdf = Urdf.load(SMALL)
     model, anatomy = small_model(urdf), anatomy_of(urdf)
-    standing = Standing(np.zeros(model.n), np.zeros(3), 0.3, error=0.0, knee=0.0, off=0.0)
+    standing = Standing(np.zeros(model.n), np.zeros(3), 0.3, error=0.0, knee=0.0, off=0.0, margin=0.05)
     numbers = Numbers(model, anatomy, standing, 0.0, "", {}, 0.0, ())
     for armature in (0.01, 1.0):
         swinging = numbers.inertia + armature
@@ -592,7 +592,7 @@ def test_a_foot_that_weighs_a_fifth_of_the_robot_is_doubted(part: float) -> None
     foot, total = urdf.links["l_foot"].inertial, sum(link.inertial.mass for link in urdf.links.values())
     foot.mass = part / (1.0 - part) * (total - foot.mass)
     model = small_model(urdf)
-    standing = Standing(np.zeros(model.n), 0.3 * Z, 0.3, error=0.0, knee=0.0, off=0.0)
+    standing = Standing(np.zeros(model.n), 0.3 * Z, 0.3, error=0.0, knee=0.0, off=0.0, margin=0.05)
     numbers = Numbers(model, anatomy_of(urdf), standing, 0.0, "", {}, 0.0, ())
     doubts = [entry.value for entry in _mass_evidence(numbers) if entry.confidence == "guess"]
     assert doubts == ([f"{foot.mass:.3g} kg, 20 % of the robot"] if part > 0.1 else [])
@@ -603,7 +603,7 @@ def test_weak_fast_servos_have_light_rotors(tmp_path: Path) -> None:
     cases = ("0.4", "12", 0.3, 0.001), ("40", "12", 0.3, 0.01), ("0", "0", 0.3, 0.01), ("0", "0", 0.05, light)
     for effort, speed, height, armature in cases:  # 0: no limit
         urdf = read(tmp_path, (r'effort="[^"]*" velocity="[^"]*"', f'effort="{effort}" velocity="{speed}"'))
-        standing = Standing(np.zeros(12), height * Z, 0.3, error=0.0, knee=0.0, off=0.0)
+        standing = Standing(np.zeros(12), height * Z, 0.3, error=0.0, knee=0.0, off=0.0, margin=0.05)
         numbers = Numbers(small_model(urdf), anatomy_of(urdf), standing, 0.0, "", {}, 0.0, ())
         assert numbers.armature == pytest.approx(armature, rel=0.03)
 
@@ -631,7 +631,8 @@ def test_bent_legs_are_preferred_to_stretched_ones_with_smaller_angles(monkeypat
     """Knees in front of the line from hip to ankle are in front of stretched legs as well, where a search ends too."""
     model = small_model(Urdf.load(SMALL))
     ends = ((0.3, 0.0), (0.01, 0.036))
-    postures = [Standing(np.full(model.n, q), np.zeros(3), 0.3, error=0.0, knee=0.02, off=off) for q, off in ends]
+    one = Standing(np.zeros(model.n), np.zeros(3), 0.3, error=0.0, knee=0.02, off=0.0, margin=0.05)
+    postures = [replace(one, q=np.full(model.n, q), off=off) for q, off in ends]
     monkeypatch.setattr(posture, "_solve", lambda *_: postures.pop(0))
     assert stand(model, anatomy_of(Urdf.load(SMALL))).q[0] == 0.3
 
@@ -672,8 +673,20 @@ def test_a_posture_that_is_not_found_names_the_joints_at_their_limits(tmp_path: 
     ahead = r'(<link name="trunk">\s*<inertial>\s*<origin xyz=)"0 0 0.077"', r'\1"0.3 0 0.077"'
     path = narrowed(tmp_path, ankle_pitch=0.1, hip_pitch=0.1, knee=0.1)
     path.write_text(re.sub(*ahead, path.read_text(), count=1, flags=re.DOTALL))
-    with pytest.raises(ModelError, match=r"no posture was found.*at their limits are .*'[lr]_ankle_pitch' at -?0.08"):
+    with pytest.raises(ModelError, match=r"no posture was found.*at their limits are .*'[lr]_ankle_pitch' at -?0.10"):
         adopt(path, tmp_path / "out")
+
+
+def test_hips_that_yaw_outwards_only_stand_at_their_limits(tmp_path: Path) -> None:
+    ranges = [(rf'(name="{side}_hip_yaw".*?lower=)"[^"]*" upper="[^"]*"', rf'\1"{low}" upper="{high}"')
+              for side, low, high in (("l", 0.0, 0.6), ("r", -0.6, 0.0))]  # fmt: skip
+    found = adopt(edited(tmp_path, SMALL, *ranges), tmp_path / "out")
+    angles = dict(zip(found.model.joint_names, found.numbers.standing.q, strict=True))
+    assert [angles[f"{side}_hip_yaw"] for side in "lr"] == pytest.approx([0.0, 0.0], abs=1e-3)
+    assert found.config.gait.step_length == pytest.approx(0.09 * found.anatomy.leg, abs=1e-3)
+    (said,) = (entry.value for entry in found.evidence if entry.what == "at a limit in the posture")
+    assert re.search("'l_hip_yaw' at -?0.00 of 0.00 to 0.60 rad", said)
+    assert "'r_hip_yaw'" in said
 
 
 def test_servos_by_type_are_those_of_joints_with_a_part_of_the_name(tmp_path: Path) -> None:
