@@ -12,6 +12,7 @@ import numpy as np
 
 from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
 from dqwalk_ros.adopt.parameters import Numbers, rounded
+from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -38,6 +39,8 @@ _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
 _EVERY = 10
 """Number of states of which one is searched for links that touch each other."""
+_LIGHTER = 0.1
+"""Factor of ``task.posture_weight`` with which a joint at its limit holds the CoM less off its goal."""
 _YIELDS, _SHORTER = 0.4, 0.7
 """Factors of ``servo.window`` and of the length of a step that may cure a dynamic walk."""
 
@@ -94,34 +97,51 @@ class Trial:
 def first_walks(
     found: Adoption, given: Mapping[str, Any], progress: Callable[[float, str], None] = lambda *_: None
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk in kinematics, then in physics; after a fall in physics try `cures` until one helps.
+    """Walk in kinematics, then in physics; after a fall try cures until one helps: in physics those of `cures`.
 
-    Yields each walk and a description of the cures applied to it, empty for the derived parameters. ``robot.yaml`` is
-    rewritten if a cure helps; no cure changes the parameters `given` by the user. The progress is called with the
-    fraction of the present walk and a line of text.
+    In kinematics it is that the posture weighs less. Yields each walk and a description of the cures applied to it,
+    empty for the derived parameters. ``robot.yaml`` and ``dynamic.yaml`` are rewritten if a cure helps; no cure changes
+    the parameters `given` by the user. The progress is called with the fraction of the present walk and a line of text.
     """
-    config, model, file = found.config, found.model, found.folder / "robot.yaml"
     names: list[str] = []
-    first = walk(config, model, "integrator", progress)
-    yield first, ""
-    if not first.stood:
-        return
-    first = walk(config, model, "physics", progress)
-    yield first, ""
-    if first.stood:
-        return
-    for what, values in cures(config, found.numbers, first.causes):
-        names.append(what)
-        kept = {key: value for key, value in values.items() if key not in given}
-        entries = changed(found.entries, kept, f"changed after a fall: {', '.join(names)}")
-        write_yaml(file, entries, f"{model.name}: the standing walk, changed after a fall.", overwrite=True)
-        cured = load(file)
-        again = replace(walk(cured, load_model(cured.robot), "physics", progress), changes=kept)
-        yield again, ", ".join(names)
-        if again.stood:
-            write_dynamic(found.folder, found.numbers, entries, given, overwrite=True)
+    changes: dict[str, Any] = {}
+
+    def trial(plant: str) -> tuple[Trial, str]:
+        if changes:
+            reason = f"changed after a walk that ended early: {', '.join(names)}"
+            _write(found, changed(found.entries, changes, reason), given)
+        config = load(found.folder / "robot.yaml")
+        return replace(walk(config, load_model(config.robot), plant, progress), changes=dict(changes)), ", ".join(names)
+
+    first = trial("integrator")
+    yield first
+    weight = "task.posture_weight"
+    if not first[0].stood and weight not in given:
+        names.append(f"{_LIGHTER:g} times {weight}")
+        changes[weight] = rounded(_LIGHTER * found.config.task.posture_weight)
+        first = trial("integrator")
+        yield first
+    if first[0].stood:
+        first = trial("physics")
+        yield first
+        if first[0].stood:
             return
-    write_yaml(file, found.entries, f"{model.name}: the standing walk.", overwrite=True)
+        for what, values in cures(found.config, found.numbers, first[0].causes):
+            names.append(what)
+            changes |= {key: value for key, value in values.items() if key not in given}
+            again = trial("physics")
+            yield again
+            if again[0].stood:
+                return
+    if changes:
+        _write(found, found.entries, given)
+
+
+def _write(found: Adoption, entries: Sequence[Entry], given: Mapping[str, Any]) -> None:
+    """Write both walks with the `entries` of the standing walk."""
+    title = f"{found.model.name}: the standing walk."
+    write_yaml(found.folder / "robot.yaml", entries, title, overwrite=True)
+    write_dynamic(found.folder, found.numbers, entries, given, overwrite=True)
 
 
 def dynamic_walks(
@@ -159,7 +179,7 @@ def dynamic_walks(
         (f"legs that yield more ({_YIELDS:g} times servo.window)", yields),
         (f"shorter steps ({_SHORTER:g} times gait.step_length)", shorter),
     )
-    entries, walks = changed(found.entries, standing, "changed after a fall"), list[Trial]()
+    entries, walks = changed(found.entries, standing, "changed after a standing walk that ended early"), list[Trial]()
     for what, changes in tried:
         # lengths given by the user are those of the standing walk
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}

@@ -22,7 +22,7 @@ from dqwalk_ros.adopt import Adoption, adopt, trial, write_yaml
 from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.skeleton import Entry
-from dqwalk_ros.adopt.trial import Trial, dynamic_walks, legs_touching, too_much
+from dqwalk_ros.adopt.trial import Trial, dynamic_walks, first_walks, legs_touching, too_much
 from dqwalk_ros.cli.adopt import _walk
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.foot import Foot
@@ -308,6 +308,36 @@ def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user
     assert [attrgetter(key)(after) / attrgetter(key)(before) for key in changed] == pytest.approx(factors, rel=0.03)
     far = (after.gait.steps - after.dynamic.ramp) * after.gait.step_length
     assert 3.2 <= far < 3.4
+
+
+@pytest.mark.parametrize(
+    ("walks", "given", "plants", "factor"),
+    [
+        ([FINE, FINE], (), "integrator physics", 1.0),
+        ([FELL, FINE, FINE], (), "integrator integrator physics", 0.1),
+        ([FELL, FINE, FELL, FINE], (), "integrator integrator physics physics", 0.1),
+        ([FELL, FELL], (), "integrator integrator", 1.0),
+        ([FELL], ("task.posture_weight",), "integrator", 1.0),
+    ],
+)
+def test_a_posture_that_holds_the_com_off_its_goal_in_kinematics_weighs_less(
+    walks: list[Trial],
+    given: tuple[str, ...],
+    plants: str,
+    factor: float,
+    small: Adoption,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shutil.copytree(small.folder, tmp_path / "robot")
+    found, left, walked = replace(small, folder=tmp_path / "robot"), iter(walks), list[str]()
+    monkeypatch.setattr(trial, "walk", lambda _config, _model, plant, _progress: walked.append(plant) or next(left))
+    own = {key: attrgetter(key)(small.config) for key in given}
+    assert [done.stood for done, _ in first_walks(found, own)] == [one.stood for one in walks]
+    assert walked == plants.split()
+    for file in ("robot.yaml", "dynamic.yaml"):
+        after = load(tmp_path / "robot" / file)
+        assert after.task.posture_weight / small.config.task.posture_weight == pytest.approx(factor, rel=0.03)
 
 
 def test_commands_to_be_copied_name_a_folder_with_blanks_as_a_shell_reads_it(
