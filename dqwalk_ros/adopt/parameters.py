@@ -381,6 +381,14 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("standing.balance", 1.0, "as for every robot", "default"),
         Entry("joints.eta", 5.0, "as for every robot", "default"),
         Entry("joints.velocity", rounded(speed), "3 rad/s, or the slowest joint"),
+        *_servo_parameters(n),
+        Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown", "default"),
+    ]
+
+
+def _servo_parameters(n: Numbers) -> list[Entry]:
+    """Return the parameters of servos whose types are not known."""
+    return [
         Entry("servo.stiffness", n.stiffness, f"5 m g h, m g h = {n.mgh:.4g} N m/rad", "guess"),
         Entry("servo.assumed_stiffness", n.stiffness, "equal to servo.stiffness, for gravity feedforward", "guess"),
         Entry(
@@ -395,7 +403,6 @@ def parameters(numbers: Numbers) -> list[Entry]:
             if n.armature < Config().servo.armature
         ),
         Entry("servo.torque_scale", 1.0, "the effort limits of robot.urdf", "likely"),
-        Entry("monitor.tolerance", 0.0001, "error of the Euler method at touchdown", "default"),
     ]
 
 

@@ -104,10 +104,7 @@ def adopt(
         raise ConfigError("--left and --right must be given together")
     if out.exists() and not out.is_dir():
         raise ConfigError(f"'{out}' is a file, not a folder")
-    if wrong := [text for text in arguments if not text.partition("=")[0] or "=" not in text]:
-        raise ConfigError(f"--xacro {wrong[0]}: expected NAME=VALUE")
-    xacro = {name: value for name, _, value in (text.partition("=") for text in arguments)}
-    given = dict(parse_overrides(changes))
+    xacro, given = _values(arguments), dict(parse_overrides(changes))
     sides = {"left": left, "right": right, "forward": forward or ""}
     file = description_in(urdf)
     if file != urdf and not quiet:
@@ -127,29 +124,56 @@ def adopt(
         bar.stage(0.7, "drawing")
         draw(found.config, found.model, out / "robot.png", overwrite=force)
     if not quiet:
-        repairs = kinds(found.repairs)
-        for repair in repairs[:_SHOWN]:
-            print(f"repaired: {repair}")
-        if len(repairs) < len(found.repairs) or len(repairs) > _SHOWN:
-            print(f"all {len(found.repairs)} repairs are listed in {out / 'adopt.json'}")
-        print(adopting.table(found))
-        files = [out / name for name in sorted(adopting.FILES) if (out / name).exists()]
-        print(f"wrote {', '.join(map(str, files))}; look at robot.png first")
+        _print_found(found)
     page = _page(found, port) if view else None
-    unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]
-    if unsure and not yes and not _confirmed("the forward direction is a guess (see the table); continue?"):
-        raise ConfigError("the forward direction is a guess that was not confirmed: give --forward, or --yes takes it")
+    if not yes:
+        _confirm_forward(found)
     for finding in found.findings:
         print(f"check: {finding}")
     code = (1 if found.findings else 0) if no_walk else _walk(found, given, quiet=quiet)
     if page is not None:
-        print(f"{page.url} shows the robot until Ctrl-C", flush=True)
-        try:
-            while True:
-                time.sleep(1.0)
-        except KeyboardInterrupt:
-            page.close()
+        _wait(page)
     return code
+
+
+def _values(arguments: tuple[str, ...]) -> dict[str, str]:
+    """Return the values of entries NAME=VALUE of --xacro.
+
+    Raises
+    ------
+    ConfigError
+        If an entry has another form.
+    """
+    if wrong := [text for text in arguments if not text.partition("=")[0] or "=" not in text]:
+        raise ConfigError(f"--xacro {wrong[0]}: expected NAME=VALUE")
+    return {name: value for name, _, value in (text.partition("=") for text in arguments)}
+
+
+def _print_found(found: Adoption) -> None:
+    """Print repairs, the table of what was found, and the files."""
+    from dqwalk_ros.adopt import FILES, table
+
+    out, repairs = found.folder, kinds(found.repairs)
+    for repair in repairs[:_SHOWN]:
+        print(f"repaired: {repair}")
+    if len(repairs) < len(found.repairs) or len(repairs) > _SHOWN:
+        print(f"all {len(found.repairs)} repairs are listed in {out / 'adopt.json'}")
+    print(table(found))
+    files = [out / name for name in sorted(FILES) if (out / name).exists()]
+    print(f"wrote {', '.join(map(str, files))}; look at robot.png first")
+
+
+def _confirm_forward(found: Adoption) -> None:
+    """Ask whether a forward direction that is a guess is right.
+
+    Raises
+    ------
+    ConfigError
+        If it is not confirmed.
+    """
+    unsure = [e.what for e in found.anatomy.evidence if e.what == "ahead" and e.confidence == "guess"]
+    if unsure and not _confirmed("the forward direction is a guess (see the table); continue?"):
+        raise ConfigError("the forward direction is a guess that was not confirmed: give --forward, or --yes takes it")
 
 
 def _confirmed(question: str) -> bool:
@@ -174,6 +198,16 @@ def _page(found: Adoption, port: int | None) -> Page:
     return page
 
 
+def _wait(page: Page) -> None:
+    """Show the page until Ctrl-C."""
+    print(f"{page.url} shows the robot until Ctrl-C", flush=True)
+    try:
+        while True:
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        page.close()
+
+
 def _what(changes: Mapping[str, object]) -> str:
     """Return changed parameters as text."""
     return ", ".join(f"{key} = {value}" for key, value in changes.items())
@@ -193,7 +227,11 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
             bar.print(f"{result}" + (f" {'in spite of' if result.note else 'cured by'}: {cure}" if cure else ""))
             fast.append(result)
     if not fast:
-        print("no cure helped")
+        fell = last is not None and last.plant == "physics"
+        print(
+            f"adopted, but the standing walk {'falls' if fell else 'ends early in kinematics'}, and no cure helped: "
+            + ("change what its causes name" if fell else "are the joints that are active at limits of the real robot?")
+        )
         return 1
     stands = best(fast).stood
     if len(fast) > 1:
