@@ -259,8 +259,8 @@ class _Conversion:
     def _open_loops(self, inside: set[int], driven: set[int]) -> None:
         """Open the loops of links: the limb's own joints are taken as driven, those of its linkage as fixed.
 
-        A crank and its rods carry little beside a limb. A limb with more joints than its loops have actuators is not
-        moved by its joints one by one: they are all fixed.
+        A crank and its rods carry little beside a limb; a linear actuator may be heavy, but slides. A limb with more
+        joints than its loops have actuators is not moved by its joints one by one: they are all fixed.
         """
         mj, types = self._mj, self._mujoco.mjtEq
         loops: list[tuple[set[int], set[int]]] = []  # joints of each, and those of its limbs
@@ -278,10 +278,12 @@ class _Conversion:
             if not joints - (driven or limbs):
                 what = ", ".join(map(self._joint_name, sorted(joints)))
                 raise ModelError(f"'{self._path}': {what} are in a loop of links; only trees of links can walk")
+            limbs = limbs & self._turning(joints) or limbs
             motors, names = joints & driven, ", ".join(map(self._joint_name, sorted(limbs)))
             moved = not driven or len(limbs) <= len(motors)
+            linear = "" if all(map(self._turns, motors)) else "; the torques of its linear actuators are not known"
             self.repairs.append(
-                f"a loop of links moves {names}: taken as driven directly, its linkage as fixed"
+                f"a loop of links moves {names}: taken as driven directly, its linkage as fixed{linear}"
                 if moved
                 else f"a loop of links has the joints {names} and {len(motors)} actuators: all taken as fixed"
             )
@@ -289,6 +291,14 @@ class _Conversion:
             if moved:
                 self._motors |= {j: sorted(motors - limbs) for j in limbs - driven}
                 driven |= limbs
+
+    def _turning(self, joints: set[int]) -> set[int]:
+        """Return those joints of a loop that turn, and carry none of its joints that slide."""
+        mj, slide = self._mj, self._mujoco.mjtJoint.mjJNT_SLIDE
+        sliding = [j for j in joints if _is(mj.jnt_type[j], slide)]
+        return {j for j in joints if self._turns(j)} - set[int]().union(
+            *(self._joints_to(int(mj.jnt_bodyid[j])) for j in sliding)
+        )
 
     def _joints_to(self, body: int) -> set[int]:
         """Return the joints that move a body."""
@@ -372,8 +382,11 @@ class _Conversion:
         efforts = [float(np.abs(mj.jnt_actfrcrange[joint]).max())] if mj.jnt_actfrclimited[joint] else []
         stiffness, damping = 0.0, float(np.atleast_1d(mj.dof_damping[dof])[0])
         for k in range(mj.nu):
-            if self._joint_of(k) not in (joint, *self._motors.get(joint, ())):
+            motor = self._joint_of(k)
+            if motor not in (joint, *self._motors.get(joint, ())):
                 continue
+            if mj.jnt_type[motor] != mj.jnt_type[joint]:
+                continue  # the force of a linear actuator is no torque
             gear = abs(float(mj.actuator_gear[k, 0]))
             gain, bias = float(mj.actuator_gainprm[k, 0]), mj.actuator_biasprm[k]
             if mj.actuator_forcelimited[k]:

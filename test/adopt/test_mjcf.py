@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -256,6 +257,24 @@ def test_a_joint_that_a_linkage_moves_is_driven_as_its_motor(tmp_path: Path) -> 
     none = r'<position joint="left_ankle_roll"/>', ""
     urdf, _ = load_mjcf(edited(tmp_path, crank, ("</mujoco>", loop), motor, none))
     assert any("has the joints left_ankle_pitch, left_ankle_roll and 1 actuators" in text for text in urdf.repairs)
+
+
+CYLINDER = (
+    '<body name="cylinder" pos="0.03 0 0"><joint name="hang" axis="0 1 0"/><geom type="sphere" size="0.01" mass="0.2"/>'
+    '<body name="rod"><joint name="slide" type="slide"/><geom type="sphere" size="0.01" mass="0.1"/></body></body>'
+)
+
+
+def test_a_linear_actuator_in_a_loop_is_no_limb_however_heavy_it_is(tmp_path: Path) -> None:
+    cylinder = (r'(<body name="left_shank".*?mass="0.25"/>)', rf"\1{CYLINDER}")
+    loop = '<equality><connect body1="rod" body2="left_foot" anchor="0 0 0"/></equality></mujoco>'
+    slide = r'<position joint="left_ankle_pitch"/>', '<motor joint="slide" ctrlrange="-500 500"/>'
+    urdf, drives = load_mjcf(edited(tmp_path, cylinder, ("</mujoco>", loop), slide))
+    assert any("moves left_ankle_pitch, left_ankle_roll: taken as driven" in text for text in urdf.repairs)
+    assert any("the torques of its linear actuators are not known" in text for text in urdf.repairs)
+    assert math.isinf(urdf.joints["left_ankle_pitch"].limit.effort)
+    assert not {"hang", "slide"} & drives.keys()
+    assert find_anatomy(urdf, Shapes(urdf, SMALL)).kinds == "YRPPPR"
 
 
 @pytest.mark.long
