@@ -38,6 +38,8 @@ _STRAIGHT = 0.9
 """Least component of an axis that counts as roll, pitch or yaw."""
 _LATERAL = 0.5
 """Least lateral component of the axis of a knee with which the leg steps forward."""
+_SAME = 1e-3
+"""Largest distance of joints at one place, as a fraction of the height of a leg."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
 _NARROWER = 1.0, 0.87, 0.75, 0.62, 0.5, 0.4
@@ -158,6 +160,9 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     urdf = skeleton.urdf
     _check_shapes(skeleton, pair)
     one, two = branches(skeleton, *pair)
+    if _fix_knees(skeleton, one, two):
+        skeleton = skeleton.turned(skeleton.turn)
+        one, two = branches(skeleton, *pair)
     _check_led(skeleton, one, two)
     _check_joints(skeleton, one, two)
     up = skeleton.pose(urdf.root).rotation_matrix()  # from the root's axes to axes with z up
@@ -248,6 +253,27 @@ def _check_joints(skeleton: Skeleton, one: tuple[str, ...], two: tuple[str, ...]
     if not all(shapes):
         names = ", ".join(one if not shapes[0] else two)
         raise ModelError(f"this biped has a leg without knee or ankle: of {names} none bends it between hip and foot")
+
+
+def _fix_knees(skeleton: Skeleton, *legs: tuple[str, ...]) -> list[str]:
+    """Take the axes of knees with three, as models of humans have, as fixed but for the one along the line of the legs.
+
+    They are returned.
+    """
+    lateral, fixed = mirrored(skeleton, *legs)[0], list[str]()
+    for joints in legs:
+        places, axes = skeleton.lines(joints)
+        leg = leg_of(places, axes)
+        if leg is None:
+            continue
+        same = np.linalg.norm(places - places[leg.knee], axis=1) < _SAME * np.ptp(places[:, 2])
+        knee = [joint for joint, here in zip(joints, same, strict=True) if here]
+        bends = max(knee, key=lambda joint: abs(skeleton.axis(joint) @ lateral))
+        fixed += [joint for joint in knee if joint != bends] if len(knee) >= 3 else []
+    for joint in fixed:
+        skeleton.urdf.joints[joint].type = "fixed"
+        skeleton.urdf.repairs.append(f"joint '{joint}' is one of three or more axes of a knee: taken as fixed")
+    return fixed
 
 
 def _check_knees(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:

@@ -277,6 +277,20 @@ def test_a_linear_actuator_in_a_loop_is_no_limb_however_heavy_it_is(tmp_path: Pa
     assert find_anatomy(urdf, Shapes(urdf, SMALL)).kinds == "YRPPPR"
 
 
+def test_of_three_axes_of_a_knee_one_bends_it(tmp_path: Path) -> None:
+    knee = r'<joint name="(\w+_knee)" axis="0 1 0" (range="\S+ \S+")/>'
+    axes = "".join(
+        rf'<joint name="\1_{name}" axis="{xyz}" \2/>'
+        for name, xyz in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True)
+    )
+    motors = r'<position joint="(\w+_knee)"/>', "".join(rf'<position joint="\1_{name}"/>' for name in "xyz")
+    urdf, _ = load_mjcf(edited(tmp_path, (knee, axes), motors))
+    assert find_anatomy(urdf, Shapes(urdf, SMALL)).kinds == "YRPPPR"
+    moving = [name for name, joint in urdf.joints.items() if "knee" in name and joint.type != "fixed"]
+    assert moving == ["left_knee_y", "right_knee_y"]
+    assert "joint 'left_knee_x' is one of three or more axes of a knee: taken as fixed" in urdf.repairs
+
+
 @pytest.mark.long
 def test_a_robot_from_mjcf_walks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["adopt", str(SMALL), "--out", str(tmp_path), "--yes", "--quiet"]) == 0
