@@ -328,13 +328,16 @@ def _numbers(model: RobotModel, anatomy: Anatomy) -> Numbers:
 def _standing(model: RobotModel, anatomy: Anatomy) -> tuple[Numbers, float]:
     """Return the quantities of the walk, and how near the CoM comes to the middle of a sole [m]; see `_numbers`."""
     standing = stand(model, anatomy)
-    single = [over_one_foot(model, anatomy, standing, foot) for foot in Foot]
-    worst = max(single, key=lambda one: one.error)
-    deviation = worst.error
-    if deviation > 0.25 * anatomy.soles[Foot.LEFT].width + 0.005:
+    worst = max((over_one_foot(model, anatomy, standing, foot) for foot in Foot), key=lambda one: one.error)
+    deviation, most = worst.error, com_threshold(anatomy.leg)
+    if deviation > most:  # a walk itself keeps no distance from the limits
+        free = replace(standing, margin=0.0)
+        worst = max((over_one_foot(model, anatomy, free, foot) for foot in Foot), key=lambda one: one.error)
+    if worst.error > most:
         raise ModelError(
             f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance "
-            f"from its middle is {1e3 * deviation:.0f} mm{why_not(model, anatomy, worst)}"
+            f"from its middle is {1e3 * worst.error:.1f} mm, and a walk lifts the other foot at {1e3 * most:.1f} mm"
+            f"{why_not(model, anatomy, worst)}"
         )
     numbers = Numbers.of(model, anatomy, standing)
     if numbers.step < _SHORTEST * anatomy.leg:

@@ -230,7 +230,11 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
         fell = last is not None and last.plant == "physics"
         print(
             f"adopted, but the standing walk {'falls' if fell else 'ends early in kinematics'}, and no cure helped: "
-            + ("change what its causes name" if fell else "are the joints that are active at limits of the real robot?")
+            + (
+                "change what its causes name"
+                if fell
+                else "no posture brings the CoM nearer to a sole, or the joints that are active are at limits"
+            )
         )
         return 1
     stands = best(fast).stood

@@ -542,6 +542,14 @@ def test_soles_are_as_close_as_narrow_limits_of_the_ankles_require(tmp_path: Pat
     assert any(entry.what == "distance of the soles" and "limits" in entry.source for entry in found.evidence)
 
 
+def test_ankles_that_bring_the_com_over_the_edge_of_a_sole_only_are_refused(tmp_path: Path) -> None:
+    """It would be 10 mm from the middle, and the first phase of the walk would not end."""
+    with pytest.raises(
+        ModelError, match=r"is 1\d\.\d mm, and a walk lifts the other foot at 3\.6 mm; at their limits are"
+    ):
+        adopt(narrowed(tmp_path, ankle_roll=0.15, hip_roll=0.15), tmp_path / "out")
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("limit", "part"), [(0.36, 0.87), (0.4, 1.0)])
 def test_the_com_reaches_the_middle_of_a_sole_where_a_distance_of_the_soles_allows_it(
