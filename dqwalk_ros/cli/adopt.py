@@ -42,7 +42,7 @@ writes to the folder of --out:
   robot.png        the robot in its posture, soles, CoM, and forward direction
   adopt.json       all results
 
-exit code: 0 the standing walk walks; 1 it was adopted but falls; 2 it cannot be adopted, with the reason
+exit code: 0 the standing walk walks; 1 it was adopted but does not walk; 2 it cannot be adopted, with the reason
 
 examples:
   dqwalk adopt my_robot.urdf
