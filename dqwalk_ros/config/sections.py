@@ -465,6 +465,9 @@ class EstimationConfig:
     pivot: float = parameter(
         0.002, "random walk of a standing sole's direction; larger: contacts count less", "rad/sqrt(s)", 1e-6, 0.1
     )
+    pivot_landing: float = parameter(
+        0.02, "turn of the soles on the floor when a foot lands; larger: contacts count less", "rad", 0.0, 0.5
+    )
     floor: float = parameter(0.0015, "variation of the floor's height; larger: trusted less", "m", 1e-5, 1.0)
 
 

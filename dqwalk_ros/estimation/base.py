@@ -38,14 +38,18 @@ _R, _V, _P, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9), slice
 """Indices in xi of the errors of R, v, p and of the biases; those of the contact points are 9 to 20."""
 _SIZE = 27
 """Length of xi."""
-_GATE = 25.0
-"""Squared Mahalanobis distance of a contact point from its former position above which it has slipped or lifted, and of
-a landing one from the floor above which it is on a stair."""
+_SLIP = 2.5
+"""Distance of a contact point from its former position above which it has slipped or lifted, in standard deviations of
+the kinematics. It does not count how well the base is known: a slip is not to turn a base that is known badly."""
+_STAIR = 5.0
+"""Height of a landing contact point above which it is on a stair, in standard deviations."""
 _JOLT = np.array([0.015, 0.1])
 """Largest change of orientation [rad] and velocity [m/s] by the change between two measurements that is used.
 
 Walks of Poppy cause less than a third of it. So a single wrong measurement, or an impact, moves the estimate by a few
 millimetres, whatever the rate of the sensor."""
+_LANDING = 0.1
+"""Time from the touch of a foot in which both soles may pivot [s]: neither bears enough weight to hold the yaw."""
 _ASTRAY = 3
 """Number of consecutive updates in which every standing sole seems to slip, from which on the estimate is wrong."""
 _LEAST_LOAD = 0.1
@@ -99,7 +103,9 @@ class BaseEstimator:
         deviations = [c.gyro_noise] * 3 + [c.accelerometer_noise] * 3 + [c.slip]
         deviations += [c.gyro_drift] * 3 + [c.accelerometer_drift] * 3
         deviations += [c.pivot * 0.5 * min(sole.length for sole in model.soles.values())]
-        self._noise = np.array(deviations) ** 2
+        self._noise = np.array([*deviations, 0.0]) ** 2
+        self._landing_noise = np.array([*deviations, c.pivot_landing / math.sqrt(_LANDING)]) ** 2
+        self._both, self._landed = True, -math.inf  # when the last foot has come to the ground [s]
         self._time = math.nan
         self._last_inertial = np.zeros(3), np.zeros(3)
         self._stood, self._ground = np.zeros(4, dtype=bool), np.zeros(4)
@@ -140,6 +146,10 @@ class BaseEstimator:
             load = float(share(kin.com_on_ground, base.center, kin.point(other.frame, other.center)))
         loaded = {kin.base: load <= 1.0 - _LEAST_LOAD, kin.base.other: load >= _LEAST_LOAD}
         stands = np.array([loaded[foot] for foot in foot_of])
+        if both and not self._both:
+            self._landed = time
+        self._both = both
+        noise = self._landing_noise if time - self._landed < _LANDING else self._noise
         if math.isnan(self._time):
             self._begin(R_imu, p_imu, h)
         else:
@@ -150,7 +160,7 @@ class BaseEstimator:
                 )
             )
             mean = 0.5 * (gyro + self._last_inertial[0]), 0.5 * (acceleration + self._last_inertial[1])
-            _predict(time - self._time, *mean, self._R, self._v, self._p, self._d, self._bias, self._P, self._noise)
+            _predict(time - self._time, *mean, self._R, self._v, self._p, self._d, self._bias, self._P, noise)
         lost = _contact(
             h,
             stands,
@@ -241,6 +251,10 @@ def _predict(
             partner = i + 3 if i % 6 < 3 else i - 3
             Q[9 + i, 9 + i] += noise[6]
             Q[9 + i, 9 + partner] += noise[6]
+    for k in range(0, 4, 2):  # and pivots about its centre when a foot lands
+        x, y, _ = 0.5 * (d[k + 1] - d[k])
+        w = np.array([y, -x, 0.0, -y, x, 0.0])
+        Q[9 + 3 * k : 15 + 3 * k, 9 + 3 * k : 15 + 3 * k] += noise[14] * np.outer(w, w)
     for i in range(6):
         Q[21 + i, 21 + i] += noise[7 + i]
     P[:] = F @ P @ F.T + dt * Q
@@ -276,8 +290,7 @@ def _contact(
             continue
         i = 9 + 3 * k
         e = R @ h[k] + p - d[k]  # = xi_p - xi_d + noise
-        S = P[6:9, 6:9] - P[6:9, i : i + 3] - P[i : i + 3, 6:9] + P[i : i + 3, i : i + 3] + kinematics * np.eye(3)
-        lost[k] = stood[k] and e @ np.linalg.solve(S, e) > _GATE
+        lost[k] = stood[k] and e @ e > _SLIP**2 * kinematics
         if stood[k] and not lost[k]:
             for j in range(3):
                 H[m, 6 + j], H[m, i + j], z[m], noise[m] = 1.0, -1.0, e[j], kinematics
@@ -287,7 +300,7 @@ def _contact(
             # its height: d_z - ground = (xi_R x d + xi_d)_z + noise
             H[m, 0], H[m, 1], H[m, i + 2], noise[m] = d[k, 1], -d[k, 0], 1.0, floor
             if not stood[k]:
-                stair = d[k, 2] ** 2 > _GATE * (H[m] @ P @ H[m] + floor)
+                stair = d[k, 2] ** 2 > _STAIR**2 * (H[m] @ P @ H[m] + floor)
                 ground[k] = d[k, 2] if stair else 0.0
             z[m] = d[k, 2] - ground[k]
             m += 1

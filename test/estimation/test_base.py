@@ -118,6 +118,21 @@ def test_a_single_wrong_measurement_moves_the_estimate_by_millimetres(size: floa
             assert not estimator.astray
 
 
+@pytest.mark.parametrize(("after", "turned"), [(0.02, 0.012), (0.3, 0.15)], ids=["at the landing", "a stumble"])
+def test_a_pivot_of_the_soles_turns_the_robot_as_the_gyroscope_says(after: float, turned: float) -> None:
+    """The robot turns as a whole within 30 ms on both feet, its joints at rest; the legs cannot know."""
+    dt, kin = 0.005, Kinematics(MODEL, MODEL.posture(POPPY.standing.posture), Foot.LEFT)
+    R = np.array([kin.direction(MODEL.imu, axis) for axis in np.eye(3)])  # from the world to the sensor
+    estimator, landing, still = BaseEstimator(POPPY, MODEL), 400, np.zeros(3)
+    for k in range(800):
+        since = k * dt - (landing * dt + after)
+        gyro = R @ [0.0, 0.0, turned / 0.03] if -1e-9 < since < 0.03 - 1e-9 else still
+        x = estimator.update(k * dt, kin, gyro, GRAVITY * R[:, 2], both=k >= landing)
+    yaw = (DQ(x.pose) * DQ(kin.pose(MODEL.pelvis)).conj()).rotation_vector()[2]
+    assert yaw == pytest.approx(turned, rel=0.2)
+    assert not estimator.astray
+
+
 def test_an_accelerometer_that_contradicts_the_standing_soles_is_noticed() -> None:
     estimator, _ = estimated({k: (np.zeros(3), np.array([0.0, 100.0, 0.0])) for k in range(300)})
     assert estimator.astray
