@@ -40,8 +40,8 @@ class Client:
     speed, turn : float
         Largest velocities [m/s, rad/s]: the limits of Nav2's velocity_smoother.
     near, within : float
-        A goal counts as reached at the first distance by odometry; its true distance must be below the second [m], which
-        contains the drift of all goals.
+        A goal counts as reached at the first distance by odometry; its true distance must be below the second [m],
+        which contains the drift of all goals.
     """
 
     name: str
