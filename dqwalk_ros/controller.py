@@ -14,7 +14,7 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.load import FootLoads
 from dqwalk_ros.estimation.predictor import Predictor
-from dqwalk_ros.estimation.vertical import filtered_vertical
+from dqwalk_ros.estimation.vertical import filtered_vertical, low_passed
 from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -100,6 +100,7 @@ class VelocityController:
         self._foot_loads = FootLoads(self.config, self.model)
         self.predictor = Predictor(Drive.of(self.config, self.model))
         self._last_state: State | None = None
+        self._last_gyro: Array | None = None  # as measured
         self._u, self._tau = np.zeros((2, self.model.n))  # the last command
         self._x_odom_base = DQ(1.0)
 
@@ -236,12 +237,16 @@ class VelocityController:
         return Command(state.time, u, effort)
 
     def _estimated(self, state: State) -> State:
-        """Return the state with filtered vertical, and with joint velocities, by differences if not measured."""
-        before, dq, up = self._last_state, state.dq, state.up
+        """Return the state with filtered vertical and angular velocity, and with joint velocities in any case."""
+        before, dq, up, gyro = self._last_state, state.dq, state.up, state.gyro
         if before is not None and 0.0 < (passed := state.time - before.time) <= self.config.plant.command_timeout:
-            dq = state.dq if state.dq is not None else (state.q - before.q) / passed
-            up = filtered_vertical(before, state)
-        return State(state.time, state.q, dq, up, state.gyro, state.acceleration, state.effort, state.forces)
+            up = filtered_vertical(before.up, self._last_gyro, state, passed)
+            if dq is not None:
+                gyro = low_passed(before.gyro, gyro, self.config.servo.assumed_velocity_filter, passed)
+            else:
+                dq = (state.q - before.q) / passed
+        self._last_gyro = state.gyro
+        return State(state.time, state.q, dq, up, gyro, state.acceleration, state.effort, state.forces)
 
     def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
         """Return the feedforward torques (n,) [N m], including damping; None without an inertial sensor."""

@@ -342,6 +342,9 @@ class ServoConfig:
         0.0, "assumed delay from a measurement to the effect of the command that answers it", "s", 0.0, 0.25
     )
     assumed_rate: float = parameter(0.0, "assumed rate of writing positions; 0: every period", "Hz", 0.0, 1e4)
+    assumed_velocity_filter: float = parameter(
+        0.0, "assumed time constant of the low-pass of measured joint velocities; 0: none", "s", 0.0, 1.0
+    )
     assumed: tuple[str, ...] = parameter((), "what `dqwalk identify` found, JOINT=stiffness 49.2, damping 0.009, ...")
 
 

@@ -20,6 +20,7 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.simulation import closed_loop
+from dqwalk_ros.walks.com import com_velocity
 from dqwalk_ros.walks.table import make_controller
 
 POPPY = dq.load("poppy")
@@ -197,7 +198,7 @@ def verticals(omega: np.ndarray, *, noise: float = 0.0, bias: float = 0.0, state
         R = DQ.from_pose(np.zeros(3), [math.cos(half), *turn]).rotation_matrix()
         up = R[2] + noise * random.normal(size=3)
         measured = State(k * dt, np.zeros(1), up=up / np.linalg.norm(up), gyro=omega * math.sin(k * dt) + bias)
-        vertical = measured.up if before is None else filtered_vertical(before, measured)
+        vertical = measured.up if before is None else filtered_vertical(before.up, before.gyro, measured, dt)
         before = State(measured.time, measured.q, up=vertical, gyro=measured.gyro)
         out.append([R[2], vertical])
     return np.array(out)
@@ -221,9 +222,29 @@ def test_noise_of_the_vertical_is_reduced_and_a_bias_of_the_gyroscope_turns_it_b
 
 def test_a_sensor_without_angular_velocity_is_not_filtered():
     up = np.array([0.0, 0.6, 0.8])
-    before = State(0.0, np.zeros(1), up=np.array([0.0, 0.0, 1.0]))
-    assert filtered_vertical(before, State(0.005, np.zeros(1), up=up)) is up
-    assert filtered_vertical(before, State(0.005, np.zeros(1))) is None
+    assert filtered_vertical(np.array([0.0, 0.0, 1.0]), None, State(0.005, np.zeros(1), up=up), 0.005) is up
+    assert filtered_vertical(np.array([0.0, 0.0, 1.0]), up, State(0.005, np.zeros(1)), 0.005) is None
+
+
+def test_the_gyroscope_is_as_late_as_the_joint_velocities() -> None:
+    """An ankle moves the robot to and fro above a sole at rest; the CoM seems to move faster if it alone is late."""
+    dt, lag, errors = 0.005, 0.01, {}
+    q, joint = MODEL.posture(POPPY.standing.posture), MODEL.joint_names.index("l_ankle_y")
+    for assumed in (0.0, lag):
+        controller = make_controller(POPPY.updated({"servo.assumed_velocity_filter": assumed}), MODEL)
+        dq, errors[assumed] = np.zeros(MODEL.n), []
+        for k in range(200):
+            moved, speed = q.copy(), np.zeros(MODEL.n)
+            moved[joint] += 0.05 * math.sin(20.0 * k * dt)
+            speed[joint] = math.cos(20.0 * k * dt)
+            dq += (1.0 - math.exp(-dt / lag)) * (speed - dq)
+            kin = Kinematics(MODEL, moved, Foot.LEFT)
+            turn = kin.lines[joint, :3] * speed[joint]
+            gyro = np.array([kin.direction(MODEL.imu, axis) for axis in np.eye(3)]) @ turn
+            up = np.array([kin.direction(MODEL.imu, axis)[2] for axis in np.eye(3)])
+            state = controller._last_state = controller._estimated(State(k * dt, moved, dq.copy(), up, gyro))
+            errors[assumed].append(com_velocity(kin, state) - kin.com_jacobian @ dq)
+    assert np.abs(errors[lag][20:]).max() < 0.1 * np.abs(errors[0.0][20:]).max()
 
 
 def test_the_vertical_is_the_measured_one_after_a_gap():
