@@ -117,8 +117,8 @@ def drive(
 ) -> list[tuple[float, float]]:
     """Return the true distance to each goal when it is reached by odometry, and the least one to an obstacle [m]."""
     config = overlaid(load(client.name), "physics").updated({"gait.steps": 0, "qp.solver": "daqp"})
-    sensors = replace(overlaid(config, "poppy_as_built").sensors, age=0.0, velocity_filter=0.0)
-    config = replace(config, sensors=sensors)
+    sensors = replace(overlaid(config, "poppy_as_built").sensors, age=0.0)
+    config = replace(config, sensors=sensors).updated({"servo.assumed_velocity_filter": sensors.velocity_filter})
     model, obstacles = load_model(config.robot), np.zeros((0, 2)) if obstacles is None else obstacles
     controller, plant = make("controller", config), make_plant("physics", config, model)
     listener = subscribed(controller, "/odom", Odometry)
