@@ -38,9 +38,10 @@ _R, _V, _P, _GYRO, _ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9), slice
 """Indices in xi of the errors of R, v, p and of the biases; those of the contact points are 9 to 20."""
 _SIZE = 27
 """Length of xi."""
-_SLIP = 2.5
-"""Distance of a contact point from its former position above which it has slipped or lifted, in standard deviations of
-the kinematics. It does not count how well the base is known: a slip is not to turn a base that is known badly."""
+_SLIP = 2.5, 0.017
+"""Distance of a contact point from its former position above which it has slipped or lifted: in standard deviations of
+the kinematics, or in lengths of the sole, whichever is more; soles that stand yield by up to 1.3 % of their length. It
+does not count how well the base is known: a slip is not to turn a base that is known badly."""
 _STAIR = 5.0
 """Height of a landing contact point above which it is on a stair, in standard deviations."""
 _JOLT = np.array([0.015, 0.1])
@@ -95,6 +96,8 @@ class BaseEstimator:
     def __init__(self, config: Config, model: RobotModel) -> None:
         self._config, self._model = config.estimation, model
         self._imu = model.imu
+        length = min(sole.length for sole in model.soles.values())
+        self._slip = max(_SLIP[0] * config.estimation.kinematics, _SLIP[1] * length)
         self._points = [
             (sole.frame, sole.center + np.array([side * sole.length, 0.0, 0.0]))
             for sole, side in ((model.soles[foot], side) for foot, side in _POINTS)
@@ -102,7 +105,7 @@ class BaseEstimator:
         c = config.estimation
         deviations = [c.gyro_noise] * 3 + [c.accelerometer_noise] * 3 + [c.slip]
         deviations += [c.gyro_drift] * 3 + [c.accelerometer_drift] * 3
-        deviations += [c.pivot * 0.5 * min(sole.length for sole in model.soles.values())]
+        deviations += [c.pivot * 0.5 * length]
         self._noise = np.array([*deviations, 0.0]) ** 2
         self._landing_noise = np.array([*deviations, c.pivot_landing / math.sqrt(_LANDING)]) ** 2
         self._both, self._landed = True, -math.inf  # when the last foot has come to the ground [s]
@@ -174,6 +177,7 @@ class BaseEstimator:
             self._P,
             c.kinematics**2,
             c.floor**2,
+            self._slip,
         )
         held = stands & self._stood
         self._slipping = self._slipping + 1 if held.any() and lost[held].all() else 0
@@ -277,11 +281,12 @@ def _reset_point(k: int, h: Array, R: Array, p: Array, d: Array, P: Array, varia
 @jit
 def _contact(
     h: Array, standing: Mask, stood: Mask, ground: Array, R: Array, v: Array, p: Array, d: Array, bias: Array, P: Array,
-    kinematics: float, floor: float,
+    kinematics: float, floor: float, slip: float,
 ) -> Mask:  # fmt: skip
     """Correction step with the standing contact points; return which of the four have slipped or lifted, shape (4,).
 
-    `ground` (4,) are the heights on which they stand [m]: zero, or where a stair is found.
+    A point farther than `slip` [m] from its former position has slipped. `ground` (4,) are the heights on which they
+    stand [m]: zero, or where a stair is found.
     """
     H, z, noise = np.zeros((12, _SIZE)), np.zeros(12), np.zeros(12)
     m, lost = 0, np.zeros(4, np.bool_)
@@ -290,7 +295,7 @@ def _contact(
             continue
         i = 9 + 3 * k
         e = R @ h[k] + p - d[k]  # = xi_p - xi_d + noise
-        lost[k] = stood[k] and e @ e > _SLIP**2 * kinematics
+        lost[k] = stood[k] and e @ e > slip**2
         if stood[k] and not lost[k]:
             for j in range(3):
                 H[m, 6 + j], H[m, i + j], z[m], noise[m] = 1.0, -1.0, e[j], kinematics

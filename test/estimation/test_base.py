@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -132,6 +133,23 @@ def test_a_pivot_of_the_soles_turns_the_robot_as_the_gyroscope_says(after: float
     yaw = (DQ(x.pose) * DQ(kin.pose(MODEL.pelvis)).conj()).rotation_vector()[2]
     assert yaw == pytest.approx(turned, rel=0.2)
     assert not estimator.astray
+
+
+@pytest.mark.parametrize(("length", "slips"), [(0.144, True), (0.28, False)])
+def test_a_long_sole_may_yield_by_more_than_a_short_one(length: float, slips: bool) -> None:
+    """The left sole seems to move to the side by 3.5 mm."""
+    soles = {foot: replace(sole, length=length) for foot, sole in MODEL.soles.items()}
+    model = replace(MODEL, soles=soles)
+    q = MODEL.posture(POPPY.standing.posture)
+    turn = 0.01 * (np.arange(MODEL.n) == MODEL.joint_names.index("l_hip_x"))
+    left, moved = (Kinematics(MODEL, x, Foot.RIGHT).point(MODEL.soles[Foot.LEFT].frame) for x in (q, q + turn))
+    turned = q + 0.0035 / np.linalg.norm(moved - left) * turn
+    estimator = BaseEstimator(POPPY, model)
+    for k in range(100):
+        kin = Kinematics(MODEL, turned if k == 99 else q, Foot.RIGHT)
+        up = np.array([kin.direction(MODEL.imu, axis)[2] for axis in np.eye(3)])
+        x = estimator.update(0.005 * k, kin, np.zeros(3), GRAVITY * up, both=True)
+    assert (Foot.LEFT not in x.contacts) is slips
 
 
 def test_an_accelerometer_that_contradicts_the_standing_soles_is_noticed() -> None:
