@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -207,10 +208,26 @@ def test_balance_torques_follow_the_com_path_with_the_cop_inside_the_soles(kind:
     assert cut > 0
 
 
-def test_a_phase_that_takes_too_long_names_its_time_limit() -> None:
-    rule = PathEnd(CONFIG, PhaseKind.SINGLE_SUPPORT, "single_support/left")
-    with pytest.raises(PhaseError, match=r"is not over after .*; gait\.phase_timeout may be too short$"):
-        rule.is_over(lambda: 0.1, CONFIG.gait.phase_timeout + 1.0)
+@pytest.mark.parametrize(
+    ("rate", "message"),
+    [
+        (0.25, r"is not over after 8 s at an error of 0\.0\d+ m .*; gait\.phase_timeout may be too short$"),
+        (0.02, r"has stalled at an error of 0\.0\d+ m \(it ends below 0\.\d+ m\)$"),
+        (0.0, r"has stalled at an error of 0\.1 m \(it ends below 0\.\d+ m\)$"),
+    ],
+)
+def test_a_phase_that_takes_too_long_says_whether_its_error_still_falls(rate: float, message: str) -> None:
+    rule = PathEnd(CONFIG.updated({"gait.phase_timeout": 8.0}), PhaseKind.SINGLE_SUPPORT, "single_support/left")
+    with pytest.raises(PhaseError, match=message) as failed:
+        for t in np.arange(0.0, 9.0, 0.01).tolist():
+            assert not rule.is_over(lambda t=t: 0.1 * math.exp(-rate * t), t)
+    assert failed.value.stalled == ("stalled" in message)
+
+
+def test_a_phase_runs_out_of_time_also_within_its_path() -> None:
+    rule = PathEnd(CONFIG.updated({"gait.phase_timeout": 0.5}), PhaseKind.SINGLE_SUPPORT, "single_support/left")
+    with pytest.raises(PhaseError, match=r"gait\.phase_timeout may be too short$"):
+        rule.is_over(lambda: 0.1, 0.6)
 
 
 @pytest.mark.parametrize("over", [(Point("l_sole"),), (Point("l_sole"), Point("r_sole"))])

@@ -6,6 +6,7 @@ of its edges is a plane, "as many planes as necessary" (section 3.1 [Urban2020])
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -169,7 +170,8 @@ class StandingWalk(SteppingWalk):
 class PathEnd:
     """Ends a phase of a standing walk after the duration of its path, when the error is below a threshold.
 
-    It does not end while `waits` returns True.
+    It does not end while `waits` returns True. A phase that runs out of time has stalled if in the second half of
+    the time since the end of its path the error fell by less than what is left of it.
     """
 
     def __init__(self, config: Config, kind: PhaseKind, name: str, waits: Callable[[], bool] = lambda: False) -> None:
@@ -178,18 +180,25 @@ class PathEnd:
         self._duration = s.swing_duration if swing else s.transfer_duration
         self._goal = s.swing_threshold if swing else s.com_threshold
         self._timeout = config.gait.phase_timeout
+        self._halfway = math.inf  # error in the middle of the time after the path
 
     def is_over(self, error: Callable[[], float], elapsed: float) -> bool:
         """Return whether the phase ends at the state with this error; see `phase.Rule.is_over`."""
-        if self._waits():
+        if self._waits() or elapsed < min(self._duration - 1e-9, self._timeout):
             return False
-        if elapsed >= self._duration - 1e-9 and error() < self._goal:
+        now, over = error(), elapsed >= self._duration - 1e-9
+        if over and now < self._goal:
             return True
+        if over and elapsed <= 0.5 * (self._duration + self._timeout):
+            self._halfway = now
         if elapsed > self._timeout:
+            stalled = self._halfway - now < now - self._goal
             raise PhaseError(
-                f"{self._name} is not over after {self._timeout:g} s at an error of {error():.4g} m "
-                f"(it ends below {self._goal:.4g} m); gait.phase_timeout may be too short",
+                f"{self._name} {'has stalled' if stalled else f'is not over after {self._timeout:g} s'} at an error of "
+                f"{now:.4g} m (it ends below {self._goal:.4g} m)"
+                f"{'' if stalled else '; gait.phase_timeout may be too short'}",
                 phase=self._name,
-                error=error(),
+                error=now,
+                stalled=stalled,
             )
         return False
