@@ -128,6 +128,7 @@ def find_anatomy(
         welded = sum(joint.type == "fixed" for joint in urdf.joints.values())
         more += f"; {welded} joints are of the type 'fixed'" if welded else ""
         more += f"; {fixed} joints have no range, their lower and upper limits are equal" if fixed else ""
+        more += "".join(f"; {repair}" for repair in urdf.repairs if "all taken as fixed" in repair)
         raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints{more}")
     check_sizes(plain, shapes)
     try:

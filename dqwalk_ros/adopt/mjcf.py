@@ -34,6 +34,10 @@ _UNKNOWN = re.compile(r"unrecognized attribute: '(\w+)' Element '(\w+)'")
 """What MuJoCo says of an attribute that it does not know; its name, and that of its element."""
 _NUMBERS = re.compile(r"bad format in attribute '(\w+)' Element '(\w+)'")
 """What MuJoCo says of numbers that it cannot read, as those with commas; their attribute, and its element."""
+_WEIGHTLESS = re.compile(r"mass and inertia of moving bodies must be larger.*Element name '(.*?)'")
+"""What MuJoCo says of a moving body without mass or inertia; its name."""
+_LEAST_MASS = 1e-5, 1e-9
+"""Mass [kg] and moment of inertia [kg m^2] of a moving body without."""
 _SETTINGS = {
     "compiler",
     "flag",
@@ -104,7 +108,7 @@ def load_mjcf(path: pathlib.Path, places: Sequence[str | os.PathLike[str]] = ())
             if file is not None and geom.density > 0.0 and not math.isfinite(geom.mass):
                 why = "is a Git LFS pointer: run 'git lfs pull' in its repository" if file.is_file() else "is not found"
                 raise ModelError(f"'{path}': the mass of '{body.name}' follows from the mesh '{file}', which {why}")
-    for element in (*spec.pairs, *spec.keys, *spec.sensors):  # of a scene; they may name what is not in this file
+    for element in (*spec.pairs, *spec.excludes, *spec.keys, *spec.sensors):  # they may name what is in another file
         spec.delete(element)
     hollow: list[str] = []
     while True:
@@ -113,7 +117,15 @@ def load_mjcf(path: pathlib.Path, places: Sequence[str | os.PathLike[str]] = ())
             break
         except (ValueError, RuntimeError) as error:
             text = " ".join(str(error).split())
-            found = _HOLLOW.search(text)
+            weightless, found = _WEIGHTLESS.search(text), _HOLLOW.search(text)
+            if weightless and not spec.compiler.boundmass:
+                spec.compiler.boundmass, spec.compiler.boundinertia = _LEAST_MASS
+                mass, inertia = _LEAST_MASS
+                repairs.append(
+                    f"body '{weightless[1]}' moves, but has no mass or inertia: at least {mass:g} kg and {inertia:g} "
+                    "kg m^2 of each body are assumed"
+                )
+                continue
             if found is None or found[1] in hollow:
                 raise ModelError(f"MuJoCo refuses '{path}': {text[:300]}") from error
             hollow.append(found[1])
@@ -204,9 +216,7 @@ def _replace_missing(
             mesh.uservert, mesh.userface = _TETRAHEDRON, [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]
     for drawn in (*spec.geoms, *spec.sites, *spec.tendons):
         drawn.material = ""  # it may be in a file that includes this one
-    for material in spec.materials:
-        material.textures = [""] * len(material.textures)
-    for picture in (*spec.textures, *spec.skins):
+    for picture in (*spec.materials, *spec.textures, *spec.skins):
         spec.delete(picture)
     for field in spec.hfields:
         field.file, field.nrow, field.ncol, field.userdata = "", 2, 2, [0.0] * 4
@@ -251,10 +261,23 @@ class _Conversion:
         if not count:
             raise ModelError(f"'{self._path}' has no body, so no robot")
         root = max(count, key=lambda body: count[body])
+        hang = [self._names[body] for body in count if self._hangs(body)]
+        if len(hang) > 1 and self._hangs(root):
+            raise ModelError(
+                f"'{self._path}': the bodies {', '.join(hang)} hang on the world by joints of their own, so the link "
+                "that carries the legs, with its mass, is not in the file: put them into one <body> with a "
+                "<freejoint/> and an <inertial>"
+            )
         others = [self._names[body] for body in count if body != root]
         if others:
             self.repairs.append(f"bodies on the world besides '{self._names[root]}' are left out: {', '.join(others)}")
         return root
+
+    def _hangs(self, body: int) -> bool:
+        """Return whether a body on the world has joints, and all of them hinges or slides."""
+        mj, free = self._mj, self._mujoco.mjtJoint.mjJNT_FREE
+        joints = range(mj.body_jntadr[body], mj.body_jntadr[body] + mj.body_jntnum[body])
+        return bool(joints) and not any(_is(mj.jnt_type[j], free) for j in joints)
 
     def _open_loops(self, inside: set[int], driven: set[int]) -> None:
         """Open the loops of links: the limb's own joints are taken as driven, those of its linkage as fixed.
@@ -280,7 +303,7 @@ class _Conversion:
                 raise ModelError(f"'{self._path}': {what} are in a loop of links; only trees of links can walk")
             limbs = limbs & self._turning(joints) or limbs
             motors, names = joints & driven, ", ".join(map(self._joint_name, sorted(limbs)))
-            moved = not driven or len(limbs) <= len(motors)
+            moved = not self._mj.nu or len(limbs) <= len(motors)
             linear = "" if all(map(self._turns, motors)) else "; the torques of its linear actuators are not known"
             self.repairs.append(
                 f"a loop of links moves {names}: taken as driven directly, its linkage as fixed{linear}"
@@ -288,7 +311,7 @@ class _Conversion:
                 else f"a loop of links has the joints {names} and {len(motors)} actuators: all taken as fixed"
             )
             self._fixed |= joints - limbs if moved else joints
-            if moved:
+            if moved and driven:
                 self._motors |= {j: sorted(motors - limbs) for j in limbs - driven}
                 driven |= limbs
 

@@ -113,6 +113,10 @@ REFUSED = {
     ),
     "an arm": ((r"<freejoint/>.*?<site", '<geom type="box" size="1 1 1"/><site'), "stands on its base"),
     "no body": ((r'<body name="crate".*</worldbody>.*</actuator>', "</worldbody>"), "has no body, so no robot"),
+    "legs on the world": (
+        (r'<body name="trunk".*?name="imu" pos="0 0 0.05"/>(.*)</body>\s*</worldbody>.*</actuator>', r"\1</worldbody>"),
+        r"the bodies left_thigh, right_thigh hang on the world by joints of their own, so the link that carries",
+    ),
     "an error": ((r'joint="left_knee"/>', 'joint="knee"/>'), "MuJoCo refuses .*knee"),
     "passive ankles": (
         (r'<position joint="[a-z]*_ankle_roll"/>', ""),
@@ -275,6 +279,24 @@ def test_a_linear_actuator_in_a_loop_is_no_limb_however_heavy_it_is(tmp_path: Pa
     assert math.isinf(urdf.joints["left_ankle_pitch"].limit.effort)
     assert not {"hang", "slide"} & drives.keys()
     assert find_anatomy(urdf, Shapes(urdf, SMALL)).kinds == "YRPPPR"
+
+
+def test_loops_of_a_robot_without_actuators_are_opened_in_both_legs(tmp_path: Path) -> None:
+    crank = (r'(<body name="(left|right)_shank".*?mass="0.25"/>)', r"\1" + CRANK.replace('name="', r'name="\2_'))
+    ends = "".join(f'<connect body1="{s}_rod" body2="{s}_foot" anchor="0 0 0"/>' for s in ("left", "right"))
+    loops = r"<actuator>.*</actuator>", f"<equality>{ends}</equality>"
+    urdf, _ = load_mjcf(edited(tmp_path, crank, loops))
+    assert find_anatomy(urdf, Shapes(urdf, SMALL)).kinds == "YRPPPR"
+
+
+def test_what_a_robot_does_not_need_may_be_wrong(tmp_path: Path) -> None:
+    """A contact of the floor in another file, a colour without a name, a head without mass."""
+    assets = r"<worldbody>", '<asset><material name="" rgba="1 1 1 1"/></asset><worldbody>'
+    scene = "</mujoco>", '<contact><exclude body1="terrain" body2="left_foot"/></contact></mujoco>'
+    head = (r'(<site name="imu")', r'<body name="head"><joint name="neck"/><geom size="0.01" mass="0"/></body>\1')
+    urdf, _ = load_mjcf(edited(tmp_path, assets, scene, head))
+    assert find_anatomy(urdf, Shapes(urdf, SMALL)).kinds == "YRPPPR"
+    assert any("body 'head' moves, but has no mass or inertia: at least 1e-05 kg" in text for text in urdf.repairs)
 
 
 def test_of_three_axes_of_a_knee_one_bends_it(tmp_path: Path) -> None:
