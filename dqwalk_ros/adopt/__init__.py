@@ -30,6 +30,7 @@ from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
 from dqwalk_ros.adopt.parameters import (
     LONGEST,
     Numbers,
+    assumed,
     com_threshold,
     drive_parameters,
     dynamic_parameters,
@@ -288,6 +289,10 @@ def _entries(
             entries, {"servo.types": kinds}, "given by --servo; for these joints from the table of servos"
         )
     entries = changed(entries, changes, "given by --set")
+    given = {entry.what: entry.value for entry in entries}
+    if "servo.assumed" not in given and "servo.types" not in given:
+        reason = "equal to servo.damping: with less, stiff legs tremble"
+        entries.append(Entry("servo.assumed", list(assumed(given["servo.damping"])), reason, "guess"))
     Config().updated({entry.what: entry.value for entry in entries})  # no file is written of invalid values
     return entries
 

@@ -26,6 +26,7 @@ from dqwalk_ros.walks.footsteps import Footsteps
 
 __all__ = [
     "Numbers",
+    "assumed",
     "com_threshold",
     "drive_parameters",
     "dynamic_parameters",
@@ -404,6 +405,14 @@ def _servo_parameters(n: Numbers) -> list[Entry]:
         ),
         Entry("servo.torque_scale", 1.0, "the effort limits of robot.urdf", "likely"),
     ]
+
+
+def assumed(damping: float) -> tuple[str, ...]:
+    """Return ``servo.assumed`` of servos with a `damping` [s]: with less, stiff legs tremble and land beside targets.
+
+    It has precedence over ``servo.assumed_damping``, which the files of plants give for all robots.
+    """
+    return (f"*=damping {damping:g}",)
 
 
 def servo_types(given: Sequence[str], joints: Sequence[str], table: Collection[str]) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
-from dqwalk_ros.adopt.parameters import Numbers, rounded
+from dqwalk_ros.adopt.parameters import Numbers, assumed, rounded
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -150,9 +150,10 @@ def dynamic_walks(
     standing: Mapping[str, Any],
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk the dynamic walk in physics; if it falls or its report is not OK, let legs yield more, then shorten steps.
+    """Walk the dynamic walk in physics; if it falls or its report is not OK, try three cures, one after the other.
 
-    Shorter steps are tried with the legs of the better of the walks before.
+    Legs yield more, goals are ahead by all of the servos' lag, steps are shorter: the latter two with the changes of
+    the best of the walks before.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
@@ -169,6 +170,7 @@ def dynamic_walks(
     config = load(found.folder / "dynamic.yaml")
     servo, gait = config.servo, config.gait
     yields = {"servo.window": rounded(max(_YIELDS * servo.window, 1e-3), 2)}
+    ahead = {"servo.assumed_lead": servo.damping}
     shorter = {
         **{f"gait.{key}": rounded(_SHORTER * getattr(gait, key), 2) for key in ("step_length", "most_length")},
         "gait.steps": math.ceil(gait.steps / _SHORTER),
@@ -177,6 +179,7 @@ def dynamic_walks(
     tried = (
         ("", none),
         (f"legs that yield more ({_YIELDS:g} times servo.window)", yields),
+        ("goals that are ahead by all of the servos' lag (servo.assumed_lead)", ahead),
         (f"shorter steps ({_SHORTER:g} times gait.step_length)", shorter),
     )
     entries, walks = changed(found.entries, standing, "changed after a standing walk that ended early"), list[Trial]()
@@ -185,8 +188,7 @@ def dynamic_walks(
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
         if what and not kept:
             continue
-        if changes is shorter:
-            kept = {**best(walks).changes, **kept}
+        kept = {**(best(walks).changes if changes in (ahead, shorter) else {}), **kept}
         write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)
         walks.append(replace(trial(), changes=kept))
         yield walks[-1], what
@@ -288,15 +290,16 @@ def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterato
     """
     servo, standing = config.servo, config.standing
     stiffness = rounded(8.0 * numbers.mgh)
+
+    def damped(stiffness: float) -> dict[str, Any]:
+        damping = numbers.damping(stiffness, 0.8, servo.armature)
+        return {"servo.damping": damping} | ({"servo.assumed": list(assumed(damping))} if servo.assumed else {})
+
     known: dict[str, tuple[str, dict[str, Any]]] = {
-        "damping": ("a damping ratio of 0.8", {"servo.damping": numbers.damping(servo.stiffness, 0.8, servo.armature)}),
+        "damping": ("a damping ratio of 0.8", damped(servo.stiffness)),
         "stiffness": (
             "a stiffness of 8 m g h, a damping ratio of 0.8",
-            {
-                "servo.stiffness": stiffness,
-                "servo.assumed_stiffness": stiffness,
-                "servo.damping": numbers.damping(stiffness, 0.8, servo.armature),
-            },
+            {"servo.stiffness": stiffness, "servo.assumed_stiffness": stiffness, **damped(stiffness)},
         ),
         "pressure": (
             "1.3 times the transfer duration",

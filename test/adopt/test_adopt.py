@@ -22,13 +22,14 @@ from dqwalk_ros.adopt import Adoption, adopt, trial, write_yaml
 from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.skeleton import Entry
-from dqwalk_ros.adopt.trial import Trial, dynamic_walks, first_walks, legs_touching, too_much
+from dqwalk_ros.adopt.trial import Trial, cures, dynamic_walks, first_walks, legs_touching, too_much
 from dqwalk_ros.cli.adopt import _walk
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import own_contacts
 from dqwalk_ros.robot.model import find_urdf, load_model
+from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.studies.pushes import Push, pushed
@@ -261,6 +262,16 @@ def test_the_dynamic_walk_has_the_froude_number_of_its_comment_and_the_drive_of_
     assert config.robot == small.config.robot
 
 
+@pytest.mark.parametrize("walk", ["robot", "dynamic"])
+def test_the_controller_takes_the_damping_of_the_servos_for_what_it_is_in_physics(walk: str, small: Adoption) -> None:
+    config = load(small.folder / f"{walk}.yaml")
+    drive = Drive.of(overlaid(config, "physics"), small.model)
+    assert drive.lag / drive.stiffness == pytest.approx(np.full(small.model.n, config.servo.damping))
+    cured = {key: value for _, values in cures(config, small.numbers, ()) for key, value in values.items()}
+    drive = Drive.of(overlaid(config.updated(cured), "physics"), small.model)
+    assert drive.lag / drive.stiffness == pytest.approx(np.full(small.model.n, cured["servo.damping"]))
+
+
 def test_a_joint_that_cannot_do_the_steps_of_the_dynamic_walk_is_named(small: Adoption) -> None:
     config, model = load(small.folder / "dynamic.yaml"), small.model
     assert too_much(config, model) == ""
@@ -279,20 +290,21 @@ FINE, CLOSE, BESIDE, FELL = (
 @pytest.mark.parametrize(
     ("walks", "given", "factors"),
     [
-        ([FINE], (), (1.0, 1.0)),
-        ([BESIDE, FINE], (), (0.4, 1.0)),
-        ([FELL, BESIDE, BESIDE], (), (0.4, 1.0)),
-        ([BESIDE, FELL, BESIDE], (), (1.0, 1.0)),
-        ([BESIDE, FELL, CLOSE], (), (1.0, 0.7)),
-        ([BESIDE, CLOSE, FINE], (), (0.4, 0.7)),
-        ([BESIDE, FELL, FINE], ("gait.step_length",), (1.0, 0.7)),
-        ([BESIDE, FINE], ("servo.window",), (1.0, 0.7)),
+        ([FINE], (), (1.0, 0.7, 1.0)),
+        ([BESIDE, FINE], (), (0.4, 0.7, 1.0)),
+        ([FELL, BESIDE, BESIDE, BESIDE], (), (0.4, 0.7, 1.0)),
+        ([BESIDE, FELL, FINE], (), (1.0, 1.0, 1.0)),
+        ([BESIDE, FELL, BESIDE, BESIDE], (), (1.0, 0.7, 1.0)),
+        ([BESIDE, FELL, BESIDE, CLOSE], (), (1.0, 0.7, 0.7)),
+        ([BESIDE, CLOSE, FELL, FINE], (), (0.4, 0.7, 0.7)),
+        ([BESIDE, FELL, CLOSE, FINE], ("gait.step_length",), (1.0, 1.0, 0.7)),
+        ([BESIDE, BESIDE, FINE], ("servo.window",), (1.0, 0.7, 0.7)),
     ],
 )
 def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user_is_changed(
     walks: list[Trial],
     given: tuple[str, ...],
-    factors: tuple[float, float],
+    factors: tuple[float, float, float],
     small: Adoption,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -304,8 +316,13 @@ def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user
     monkeypatch.setattr(trial, "walk", lambda *_: next(left))
     assert [done.stood for done, _ in dynamic_walks(found, own, {})] == [one.stood for one in walks]
     after = load(tmp_path / "robot" / "dynamic.yaml")
-    changed = "servo.window", "gait.step_length"
-    assert [attrgetter(key)(after) / attrgetter(key)(before) for key in changed] == pytest.approx(factors, rel=0.03)
+    servo, old = after.servo, before.servo
+    changed = [
+        servo.window / old.window,
+        servo.assumed_lead / servo.damping,
+        after.gait.step_length / before.gait.step_length,
+    ]
+    assert changed == pytest.approx(factors, rel=0.03)
     far = (after.gait.steps - after.dynamic.ramp) * after.gait.step_length
     assert 3.2 <= far < 3.4
 
