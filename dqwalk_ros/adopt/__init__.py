@@ -19,7 +19,6 @@ import numpy as np
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.doubts import (
-    check_density,
     check_names,
     list_massless,
     repair_degrees,
@@ -195,7 +194,6 @@ def _adopted(
     repair_degrees(urdf)
     use_led_joints(urdf)
     anatomy = find_anatomy(urdf, shapes, **sides)
-    check_density(str(path), urdf, anatomy.leg)
     list_massless(urdf)
     repair_inertias(urdf, shapes, anatomy.leg)
     anatomy = replace(anatomy, pelvis=_add_frames(urdf, anatomy))

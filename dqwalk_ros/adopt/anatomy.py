@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqwalk_ros.adopt.arms import find_hands, find_imu
-from dqwalk_ros.adopt.doubts import check_sizes
+from dqwalk_ros.adopt.doubts import check_density, check_sizes
 from dqwalk_ros.adopt.legs import Leg, bent, freedom, leg_of
 from dqwalk_ros.adopt.pair import NoLegsError, branches, find_pair, mirrored
 from dqwalk_ros.adopt.skeleton import Entry, Skeleton
@@ -173,6 +173,7 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     _check_knees(skeleton, legs)
     left, right = (_leg(skeleton, joints) for joints in legs.values())
     hip, ankle = 0.5 * (left.hip + right.hip), 0.5 * (left.ankle + right.ankle)
+    check_density(urdf, float(hip[2] - ankle[2]))
     pelvis_body = skeleton.body(urdf.joints[one[0]].parent)
     parents = {urdf.joints[leg[0]].parent for leg in legs.values()}
     pelvis = parents.pop() if len(parents) == 1 else skeleton.heaviest(pelvis_body)
@@ -368,8 +369,18 @@ def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str
 
 
 def _check_led(skeleton: Skeleton, *legs: tuple[str, ...]) -> None:
-    """Raise ModelError if a joint that carries a foot follows another joint of its leg: it would be locked."""
+    """Raise ModelError if a joint that carries a foot follows another joint of the legs: it would be locked."""
     urdf = skeleton.urdf
+    both = [set(foot_links(skeleton, joints[-1])) for joints in legs]
+    for joint in urdf.joints.values():
+        if joint.mimic is None or joint.mimic.joint not in urdf.joints:
+            continue
+        leader = urdf.joints[joint.mimic.joint]
+        moved = sorted([bool(foot & set(urdf.after(one.child))) for foot in both] for one in (joint, leader))
+        if moved == [[False, True], [True, False]]:
+            raise ModelError(
+                f"'{joint.name}' of a leg mimics '{leader.name}' of the other leg: legs that bend together cannot walk"
+            )
     for joints in legs:
         feet = foot_links(skeleton, joints[-1])
         half = 0.5 * sum(urdf.links[link].inertial.mass for link in feet)

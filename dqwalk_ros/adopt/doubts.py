@@ -33,6 +33,8 @@ _LARGER, _SMALLER = 8.0, 0.02
 """Size of the largest mesh divided by the span of the joints, above and below which one of both has another unit."""
 _HEAVIEST, _LIGHTEST, _USUAL = 5000.0, 1.0, 80.0
 """Largest, least and usual mass divided by the cube of the leg length [kg/m^3]; that of a robot is about 30 to 300."""
+_SHORTEST, _LONGEST = 0.05, 2.0
+"""Least and largest length of a leg [m]."""
 _UNITS = {0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches"}
 """Units of length [m]."""
 _TURNS, _FULL = 6.5, 361.0
@@ -98,18 +100,26 @@ def check_sizes(skeleton: Skeleton, shapes: Shapes) -> None:
         )
 
 
-def check_density(source: str, urdf: Urdf, leg: float) -> None:
+def check_density(urdf: Urdf, leg: float) -> None:
     """Raise ModelError if the robot has no mass, or far too much or too little for legs of the length `leg` [m]."""
     mass = sum(link.inertial.mass for link in urdf.links.values())
     if not mass > 0.0:
-        raise ModelError(f"{source}: the robot has no mass, so it has no centre of mass: its links lack <inertial>")
-    about = f"the links of {source} weigh {mass:.4g} kg together, with legs of {leg:.4g} m"
-    if mass > _HEAVIEST * leg**3:
-        raise ModelError(f"{about}: are the masses in grams?")
-    if mass < _LIGHTEST * leg**3:
-        wanted = (mass / (_USUAL * leg**3)) ** (1.0 / 3.0)
-        unit = min(_UNITS, key=lambda unit: abs(math.log(unit / wanted)))
-        raise ModelError(f"{about}: are the lengths in {_UNITS[unit]}?")
+        raise ModelError(f"'{urdf.name}' has no mass, so it has no centre of mass: its links lack <inertial>")
+    if _LIGHTEST * leg**3 < mass < _HEAVIEST * leg**3 and leg < _LONGEST:
+        return
+    units = [(length, grams) for length in (1.0, *_UNITS) for grams in (1.0, 1e-3)][1:]
+    likely = [(length, grams) for length, grams in units if _SHORTEST < leg * length < _LONGEST] or units
+
+    def unusual(of: tuple[float, float]) -> float:
+        return abs(math.log(mass * of[1] / (leg * of[0]) ** 3 / _USUAL))
+
+    length, grams = min(likely, key=unusual)
+    doubts = [f"the lengths in {_UNITS[length]}"] if length < 1.0 else []
+    doubts += ["the masses in grams"] if grams < 1.0 else []
+    raise ModelError(
+        f"the links of '{urdf.name}' weigh {mass:.4g} kg together, with legs of {leg:.4g} m: "
+        f"are {' and '.join(doubts)}?"
+    )
 
 
 def list_massless(urdf: Urdf) -> None:

@@ -28,10 +28,14 @@ _TOUCHES = 0.006
 """Largest difference of the lowest points of two bodies that both touch the ground, as a fraction of the height."""
 _ASYMMETRY = 0.02
 """Tolerance of the symmetry of left and right joints, as a fraction of the length of a leg."""
+_TURNED = 45.0
+"""Angle of the axis of a joint to the mirror image of the other one above which one of them is wrong [degrees]."""
 _PART = 0.25
 """Part of an asymmetry, and of its tolerance, below which it does not tell directions apart."""
 _SIDEWAYS = 0.5
 """Least horizontal part of the way from leg to leg."""
+_NEARLY = 3.0
+"""Difference of two chains, in parts of what is allowed, below which an error about them says more than one of z up."""
 _LEANS = 0.1
 """Least angle of soles and legs to an axis of the root link with which this axis is not up [rad]."""
 _AGREE = 0.5
@@ -41,7 +45,18 @@ _UPS = tuple(np.array(rows) for rows in ((X, Y, Z), (Z, X, Y), (Y, Z, X), (Z, -X
 
 
 class NoLegsError(ModelError):
-    """No two legs were found, in the tree with the present root link."""
+    """No two legs were found, in the tree with the present root link.
+
+    Attributes
+    ----------
+    off : float
+        How far the most similar chains that reach the ground are from mirroring each other, in parts of what is
+        allowed; infinite without two.
+    """
+
+    def __init__(self, message: str, off: float = math.inf) -> None:
+        super().__init__(message)
+        self.off = off
 
 
 def find_pair(plain: Skeleton, given: tuple[str, str]) -> tuple[Skeleton, tuple[str, str]]:
@@ -54,24 +69,46 @@ def find_pair(plain: Skeleton, given: tuple[str, str]) -> tuple[Skeleton, tuple[
     ModelError
         If the robot is not a biped; NoLegsError if it may be one with another root link.
     """
-    found: list[tuple[Skeleton, tuple[str, str]]] = []
-    problem: ModelError | None = None
-    for up in _UPS:
+    first: tuple[Skeleton, tuple[str, str]] | None = None  # with z up
+    problems = list[ModelError]()
+    for k, up in enumerate(_UPS):
         skeleton = plain.turned(up)
         try:
             pair = _find_legs(skeleton, given)
         except ModelError as error:
-            problem = problem or error  # report the error for z up
+            problems.append(error)
             continue
         skeleton = _upright(skeleton, pair)
         if _stands(skeleton, pair):
             return skeleton, pair
-        if problem is None:
-            found.append((skeleton, pair))
-    if found:
-        return found[0]
-    assert problem is not None
-    raise problem
+        if k == 0:
+            first = skeleton, pair
+        elif _above(skeleton, pair):
+            problems.append(_leaning(skeleton, pair, up))
+    unsure = first is not None or isinstance(problems[0], NoLegsError)
+    # that of z up, unless another axis has almost two legs
+    worst = min(problems, key=_how_far, default=None) if unsure else problems[0]
+    if first is not None and (worst is None or _above(*first) or math.isinf(_how_far(worst))):
+        return first
+    assert worst is not None
+    raise worst
+
+
+def _how_far(problem: ModelError) -> float:
+    """Return how far chains of joints are from being legs, in parts of what is allowed; infinite if not near."""
+    return problem.off if isinstance(problem, NoLegsError) and problem.off < _NEARLY else math.inf
+
+
+def _leaning(skeleton: Skeleton, pair: tuple[str, str], up: Array) -> NoLegsError:
+    """Return the error of legs on leaning feet, with another axis of the root link `up` than z."""
+    lean = max(math.acos(min(1.0, plane_below(found)[0][2])) for found in _feet(skeleton, pair) if found is not None)
+    axis = int(np.argmax(np.abs(up[2])))
+    return NoLegsError(
+        f"the robot does not stand in its zero posture: with {'-' if up[2, axis] < 0 else '+'}{'xyz'[axis]} of its "
+        f"root link up it has legs that end with '{pair[0]}' and '{pair[1]}', but their soles lean by "
+        f"{math.degrees(lean):.0f} degrees; make them level at angles of zero",
+        1.0,
+    )
 
 
 def _upright(skeleton: Skeleton, pair: tuple[str, str]) -> Skeleton:
@@ -107,13 +144,21 @@ def _with_up(skeleton: Skeleton, up: Array) -> Skeleton:
 
 def _stands(skeleton: Skeleton, pair: tuple[str, str]) -> bool:
     """Return whether two legs carry the robot in the zero posture: level feet, the CoM above them."""
-    for ankle in pair:
-        found, _ = skeleton.points(foot_links(skeleton, ankle))
-        if found is None or plane_below(found)[0][2] < math.cos(_LEANS):
-            return False
+    level = math.cos(_LEANS)
+    return all(found is not None and plane_below(found)[0][2] >= level for found in _feet(skeleton, pair)) and _above(
+        skeleton, pair
+    )
+
+
+def _feet(skeleton: Skeleton, pair: tuple[str, str]) -> list[Array | None]:
+    """Return the corners of both feet, (N, 3) each [m]; None without a shape."""
+    return [skeleton.points(foot_links(skeleton, ankle))[0] for ankle in pair]
+
+
+def _above(skeleton: Skeleton, pair: tuple[str, str]) -> bool:
+    """Return whether the CoM is above two feet in the zero posture."""
     feet = 0.5 * (skeleton.place(pair[0]) + skeleton.place(pair[1]))
-    com = skeleton.com(list(skeleton.bodies))
-    way = com - feet
+    way = skeleton.com(list(skeleton.bodies)) - feet
     return bool(way[2] > 2.0 * math.hypot(way[0], way[1]))
 
 
@@ -167,7 +212,8 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
             what = f"only '{long_enough[0]}' reaches the ground"
         raise NoLegsError(
             f"the robot is not a biped: no two chains of joints that mirror each other reach the ground in the zero "
-            f"posture ({what}){skeleton.lacking()}; name its feet with --left and --right"
+            f"posture ({what}){skeleton.lacking()}; name its feet with --left and --right",
+            least,
         )
     return pairs[0]
 
@@ -237,8 +283,15 @@ def _difference(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> t
     if not lateral.any():
         return math.inf, f"'{one[-1]}' and '{two[-1]}' are not beside each other"
     worst = int(np.argmax(off > 0.99 * off.max()))  # the joints below it are as far off
-    what = f"'{one[worst]}' is {1e3 * off[worst]:.0f} mm from the mirror image of '{two[worst]}', more than "
-    return float(off[worst]) / most, f"{what}{1e3 * most:.0f} mm" if off[worst] >= most else ""
+    a, b = skeleton.axis(one[worst]), skeleton.axis(two[worst])
+    image = b - 2.0 * (b @ lateral) * lateral
+    apart = math.degrees(math.acos(min(1.0, max(abs(float(a @ b)), abs(float(a @ image))))))
+    if off[worst] >= most and apart > _TURNED:
+        return float(off[worst]) / most, (
+            f"the axis of '{one[worst]}' is {apart:.0f} degrees from the mirror image of that of '{two[worst]}'"
+        )
+    what = f"'{one[worst]}' is {1e3 * off[worst]:.3g} mm from the mirror image of '{two[worst]}', more than "
+    return float(off[worst]) / most, f"{what}{1e3 * most:.3g} mm" if off[worst] >= most else ""
 
 
 def mirrored(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> tuple[Array, Array, float]:

@@ -21,7 +21,7 @@ from dqwalk_ros.adopt import _mass_evidence, adopt, posture
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.description import description_in
-from dqwalk_ros.adopt.doubts import check_density, list_massless, repair_degrees, repair_inertias, use_led_joints
+from dqwalk_ros.adopt.doubts import list_massless, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.legs import axes_differ, bent, freedom, leg_of
 from dqwalk_ros.adopt.parameters import Numbers, servo_types
 from dqwalk_ros.adopt.picture import _bones
@@ -147,6 +147,38 @@ def test_legs_that_differ_are_refused_with_joint_and_distance(tmp_path: Path) ->
     urdf = Urdf.load(SMALL)
     urdf.joints["r_knee"].origin[0, 3] += 0.02
     with pytest.raises(ModelError, match=r"'l_knee' is 20 mm from the mirror image of 'r_knee', more than 6 mm"):
+        anatomy_of(urdf)
+
+
+def test_an_axis_that_is_wrong_in_one_leg_is_named() -> None:
+    urdf = Urdf.load(SMALL)
+    urdf.joints["r_ankle_pitch"].axis = X
+    urdf.joints["r_ankle_pitch"].origin[0, 3] += 0.02
+    text = r"the axis of 'l_ankle_pitch' is 90 degrees from the mirror image of that of 'r_ankle_pitch'"
+    with pytest.raises(ModelError, match=text):
+        anatomy_of(urdf)
+
+
+@pytest.mark.parametrize(
+    ("ankle", "knee", "message"),
+    [
+        (
+            0.4,
+            0.0,
+            r"with \+y of its root link up it has legs that end with 'l_ankle_roll' and .*their soles lean by 23",
+        ),
+        (0.0, 0.01, r"'l_knee' is 10 mm from the mirror image of 'r_knee', more than 6 mm"),
+    ],
+)
+def test_legs_that_almost_stand_with_another_axis_up_are_said(ankle: float, knee: float, message: str) -> None:
+    urdf = Urdf.load(SMALL)
+    for side in "lr":
+        joint = urdf.joints[f"{side}_ankle_pitch"]
+        joint.origin = joint.origin @ at(np.zeros(3), DQ.rotation_about(ankle, Y).rotation_matrix())
+    urdf.joints["r_knee"].origin[0, 3] += knee
+    for link in urdf.links:
+        moved(urdf, link, at(np.zeros(3), DQ.rotation_about(0.5 * math.pi, X).rotation_matrix()))
+    with pytest.raises(ModelError, match=message):
         anatomy_of(urdf)
 
 
@@ -391,8 +423,8 @@ def in_units(text: str, lengths: float) -> str:
 @pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches")])
 def test_another_unit_of_length_is_named(factor: float, unit: str) -> None:
     urdf = Urdf(in_units(SMALL.read_text(), factor), "robot.urdf")
-    with pytest.raises(ModelError, match=rf"links of robot.urdf weigh 4.059 kg .* are the lengths in {unit}\?"):
-        check_density("robot.urdf", urdf, anatomy_of(urdf).leg)
+    with pytest.raises(ModelError, match=rf"links of 'small_humanoid' weigh 4.059 kg .* are the lengths in {unit}\?"):
+        anatomy_of(urdf)
 
 
 @pytest.mark.parametrize(
@@ -914,6 +946,16 @@ def degrees(tmp_path: Path) -> Path:
     return written(tmp_path, urdf)
 
 
+def centimetres_and_grams(tmp_path: Path) -> Path:
+    urdf = Urdf(in_units(SMALL.read_text(), 100.0), "perturbed")
+    urdf.scale_mass(1000.0)
+    return written(tmp_path, urdf)
+
+
+def knees_that_bend_together(tmp_path: Path) -> Path:
+    return edited(tmp_path, SMALL, ('(<joint name="l_knee".*?)(</joint>)', r'\1<mimic joint="r_knee"/>\2'))
+
+
 def root_at_the_foot(tmp_path: Path) -> Path:
     urdf = Urdf.load(SMALL)
     urdf.reroot("r_foot")
@@ -992,6 +1034,8 @@ def placeholder_inertias(tmp_path: Path) -> Path:
 
 PERTURBED: list[tuple[Callable[[Path], Path], str, str]] = [  # what is done, the refusal, and the repair that is said
     (millimetres, "are the lengths in millimetres", ""),
+    (centimetres_and_grams, "lengths in centimetres and the masses in grams", ""),
+    (knees_that_bend_together, "'l_knee' of a leg mimics 'r_knee' of the other leg", ""),
     (degrees, "", "can only be degrees"),
     (root_at_the_foot, "", "is in a leg"),
     (y_up, "", ""),
