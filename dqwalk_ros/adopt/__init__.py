@@ -27,6 +27,7 @@ from dqwalk_ros.adopt.doubts import (
 )
 from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
 from dqwalk_ros.adopt.parameters import (
+    HEAVY_LEGS,
     LONGEST,
     Numbers,
     assumed,
@@ -505,8 +506,11 @@ def _mass_evidence(n: Numbers) -> list[Entry]:
     heavy = Entry("mass of a foot", f"{foot:.3g} kg, {100 * part:.0f} % of the robot", "2 to 6 % are usual", "guess")
     stuck = ", ".join([] if n.standing.margin else at_limits(model, n.standing))
     limits = Entry("at a limit in the posture", stuck, "there is no posture without", "guess")
+    light = "40 to 60 % are usual: the dynamic walk takes legs for light"
+    legs = Entry("mass of the legs", f"{100 * n.legs:.0f} % of the robot", light, "guess")
     return [
         *([heavy] if part > _HEAVY_FOOT else []),
+        *([legs] if n.legs > HEAVY_LEGS else []),
         *([limits] if stuck else []),
         Entry("mass", f"{n.model.mass:.4g} kg", "sum of the links"),
         Entry("CoM in the posture", f"{ahead:.1f} mm forward, {n.height:.3f} m up", "posture"),

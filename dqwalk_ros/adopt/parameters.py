@@ -64,6 +64,8 @@ ROTOR = 0.03
 """Inertia of a servo's rotor times its no-load speed, divided by its stall torque [s]; 0.01 to 0.09 in the table."""
 UNKNOWN = 0.5, 6.0
 """Stall torque, as a part of m g h, and no-load speed [rad/s] of servos without limits in the description."""
+HEAVY_LEGS = 0.65
+"""Part of the robot's mass above which legs are too heavy for the dynamic walk, that of a pendulum on light legs."""
 REFERENCE = 0.46
 """Leg length at which the dynamic walk has the lengths and times of Poppy's [m]; Poppy's own hips are 0.42 m high."""
 
@@ -136,6 +138,17 @@ class Numbers:
     def inertia(self) -> float:
         """Inertia of a leg about its hip [kg m^2]."""
         return leg_inertia(self.model, Kinematics(self.model, self.standing.q, Foot.LEFT))
+
+    @cached_property
+    def legs(self) -> float:
+        """Mass of both legs, as a part of that of the robot."""
+        joints = {self.model.joint_names.index(name) for names in self.anatomy.legs.values() for name in names}
+        bodies = [
+            body
+            for b, body in enumerate(self.model.bodies)
+            if joints & {self.model.bodies[k].joint for k in self.model.chain(b)}
+        ]
+        return sum(body.mass for body in bodies) / self.model.mass
 
     @property
     def width(self) -> float:

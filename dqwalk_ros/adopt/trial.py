@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
-from dqwalk_ros.adopt.parameters import Numbers, assumed, rounded
+from dqwalk_ros.adopt.parameters import HEAVY_LEGS, Numbers, assumed, rounded
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -159,13 +159,19 @@ def dynamic_walks(
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
     Where something is wrong, the `note` also says which joint cannot do the steps.
     """
+    part = found.numbers.legs
+    heavy = (
+        f"its legs are {100.0 * part:.0f} % of its mass, and this walk takes them for light"
+        if part > HEAVY_LEGS
+        else ""
+    )
 
     def trial() -> Trial:
         config = load(found.folder / "dynamic.yaml")
         model = load_model(config.robot)
         done = walk(config, model, "physics", lambda share, text: progress(share, f"dynamic walk in {text}"))
-        wrong = "; ".join(text for text in (done.note, too_much(config, model) if done.note else "") if text)
-        return replace(done, plant="dynamic walk", note=wrong)
+        why = (done.note, too_much(config, model), heavy) if done.note else ()
+        return replace(done, plant="dynamic walk", note="; ".join(text for text in why if text))
 
     config = load(found.folder / "dynamic.yaml")
     servo, gait = config.servo, config.gait

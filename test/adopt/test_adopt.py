@@ -327,6 +327,16 @@ def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user
     assert 3.2 <= far < 3.4
 
 
+def test_heavy_legs_are_named_where_a_dynamic_walk_lands_beside_its_targets(
+    small: Adoption, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(small.folder, tmp_path / "robot")
+    monkeypatch.setattr(trial, "walk", lambda *_: BESIDE)
+    monkeypatch.setattr(trial, "HEAVY_LEGS", 0.9 * small.numbers.legs)
+    done, _ = next(dynamic_walks(replace(small, folder=tmp_path / "robot"), {}, {}))
+    assert re.search(r"9 mm off; its legs are 4\d % of its mass", done.note)
+
+
 @pytest.mark.parametrize(
     ("walks", "given", "plants", "factor"),
     [

@@ -638,6 +638,18 @@ def test_a_foot_that_weighs_a_fifth_of_the_robot_is_doubted(part: float) -> None
     assert doubts == ([f"{foot.mass:.3g} kg, 20 % of the robot"] if part > 0.1 else [])
 
 
+@pytest.mark.parametrize("trunk", [1.4, 0.1])
+def test_legs_that_are_most_of_the_robot_are_doubted(trunk: float, tmp_path: Path) -> None:
+    urdf = Urdf.load(SMALL)
+    for name, link in urdf.links.items():
+        if not name.startswith(("l_", "r_")) or "arm" in name:
+            link.inertial.mass *= trunk / 1.4
+            link.inertial.inertia *= trunk / 1.4
+    found = adopt(written(tmp_path, urdf), tmp_path / "out")
+    (share,) = [entry.value for entry in found.evidence if entry.what == "mass of the legs"] or [""]
+    assert share == ("" if trunk > 1.0 else f"{100 * found.numbers.legs:.0f} % of the robot")
+
+
 def test_weak_fast_servos_have_light_rotors(tmp_path: Path) -> None:
     light = 0.0025 * 9.81 * 0.05 * sum(link.inertial.mass for link in Urdf.load(SMALL).links.values())
     cases = ("0.4", "12", 0.3, 0.001), ("40", "12", 0.3, 0.01), ("0", "0", 0.3, 0.01), ("0", "0", 0.05, light)
