@@ -193,11 +193,11 @@ class DrakePlant(EnginePlant):
         world, context = self._world, self._context
         return world.GetPositions(context)[self._qs], world.GetVelocities(context)[self._vs]
 
-    def _imu_motion(self) -> tuple[Array, Array]:
+    def _imu_motion(self) -> tuple[Array, Array, Array]:
         body = self._bodies[self.model.imu_link]
         rotation = self._world.EvalBodyPoseInWorld(self._context, body).rotation()
         velocity = self._world.EvalBodySpatialVelocityInWorld(self._context, body).rotational()
-        return rotation.ToQuaternion().wxyz(), velocity @ rotation.matrix()
+        return rotation.ToQuaternion().wxyz(), velocity, np.ascontiguousarray(rotation.matrix())
 
     def _acceleration(self) -> Array:
         world, body = self._world, self._bodies[self.model.imu_link]

@@ -192,7 +192,7 @@ class EnginePlant(Plant):
         r = self._reading = self._sensors.measure(time, exact)
         felt = None if self._sensors.exact else r.acceleration
         feet = np.array([np.linalg.norm(self._wrench(foot)[:3]) for foot in Foot]) if self._foot_force else None
-        return State(time, r.q, r.dq, upward(*r.orientation.tolist()), r.gyro, felt, r.effort, feet)
+        return State(time, r.q, r.dq, _upward(*r.orientation.tolist()), r.gyro, felt, r.effort, feet)
 
     # ------------------------------------------------------------------ the engine
 
@@ -222,10 +222,11 @@ class EnginePlant(Plant):
         """Return new arrays of the angles and velocities of the joints, both (n,) [rad, rad/s]."""
 
     @abstractmethod
-    def _imu_motion(self) -> tuple[Array, Array]:
-        """Return the orientation (4,) of the inertial sensor's link on the floor, and its angular velocity in its axes.
+    def _imu_motion(self) -> tuple[Array, Array, Array]:
+        """Return the motion of the inertial sensor's link on the floor, in contiguous arrays.
 
-        The velocity has the shape (3,) [rad/s].
+        It is the orientation (4,) and, in axes of the floor, the angular velocity (3,) [rad/s] and the axes of the
+        link, the columns of a matrix (3, 3).
         """
 
     @abstractmethod
@@ -287,16 +288,21 @@ def _mean_effort(torque: Array, count: int, back_emf: Array, before: Array, q: A
     return (torque - back_emf * (q - before) / h) / count
 
 
+_upward = jit(upward)
+
+
 @jit
-def _imu(level: Array, link: Array, velocity: Array, mounting: Array, to_sensor: Array) -> tuple[Array, Array]:
+def _imu(
+    level: Array, link: Array, velocity: Array, axes: Array, mounting: Array, to_sensor: Array
+) -> tuple[Array, Array]:
     """Return the orientation (4,) of the inertial sensor in a level world, and its angular velocity in its axes (3,).
 
     `level`, `link` and `mounting` (4,) are the orientations of the floor, of the link on the floor, and of the sensor
-    on the link, whose angular velocity in its axes is `velocity` (3,).
+    on the link. The angular velocity `velocity` (3,) and the `axes` (3, 3) of the link are those of `_imu_motion`.
     """
     a = quaternion_product(level[0], level[1], level[2], level[3], link[0], link[1], link[2], link[3])
     b = quaternion_product(a[0], a[1], a[2], a[3], mounting[0], mounting[1], mounting[2], mounting[3])
-    return np.array(b), to_sensor @ velocity
+    return np.array(b), to_sensor @ (velocity @ axes)
 
 
 @jit

@@ -100,8 +100,8 @@ class PhysicsPlant(EnginePlant):
     def _joints(self) -> tuple[Array, Array]:
         return self._qpos.take(self._qadr), self._qvel.take(self._vadr)
 
-    def _imu_motion(self) -> tuple[Array, Array]:
-        return self._imu_orientation, self._imu_turning @ self._imu_axes
+    def _imu_motion(self) -> tuple[Array, Array, Array]:
+        return self._imu_orientation, self._imu_turning, self._imu_axes
 
     def _acceleration(self) -> Array:
         out = np.empty(6)
