@@ -258,7 +258,7 @@ def _predict(
     for k in range(0, 4, 2):  # and pivots about its centre when a foot lands
         x, y, _ = 0.5 * (d[k + 1] - d[k])
         w = np.array([y, -x, 0.0, -y, x, 0.0])
-        Q[9 + 3 * k : 15 + 3 * k, 9 + 3 * k : 15 + 3 * k] += noise[14] * np.outer(w, w)
+        Q[9 + 3 * k : 15 + 3 * k, 9 + 3 * k : 15 + 3 * k] += noise[14] * (w.reshape((6, 1)) * w)
     for i in range(6):
         Q[21 + i, 21 + i] += noise[7 + i]
     P[:] = F @ P @ F.T + dt * Q

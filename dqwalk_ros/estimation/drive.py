@@ -106,9 +106,8 @@ class DriveWatch:
         if len(self._commands) < 2 or self._commands[0][0] > delayed:
             return
         (t0, before), (t1, after) = self._commands[0], self._commands[1]
-        rate = (after - before) / (t1 - t0)
-        S, e = before + (delayed - t0) * rate
-        sample = np.array([q - S, rate[0], np.tanh(rate[0] / _SIGN), e])
+        sample = _sampled(q, before, after, delayed - t0, t1 - t0)
+        sample[2] = np.tanh(sample[1] / _SIGN)
         self._samples.append((time, sample))
         if time - self._samples[0][0] < _SPAN - 1e-9:
             return
@@ -165,6 +164,18 @@ class DriveWatch:
             self.delay, self._reference, self._since = delay - assumed, math.nan, self._time
             self._products[:], self._count = 0.0, 0.0
             self._samples.clear()
+
+
+@jit
+def _sampled(q: Array, before: Array, after: Array, passed: float, period: float) -> Array:
+    """Return q - S, u, a row for its sign, and e (4, n), a time `passed` after `before`, of a period to `after` [s].
+
+    S and e are the rows of `before` and `after` (2, n), and q (n,) are the angles.
+    """
+    rate = (after - before) / period
+    then, sample = before + passed * rate, np.zeros((4, q.shape[0]))
+    sample[0], sample[1], sample[3] = q - then[0], rate[0], then[1]
+    return sample
 
 
 @jit

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.paper.qp.problem import Numbers, Problem, Solution, Solver, check, check_finite, kkt, scale
+from dqwalk_ros.paper.qp.problem import Problem, Solution, Solver, check, check_finite, kkt, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError, QPError, how_to_install
@@ -15,7 +15,6 @@ from dqwalk_ros.support.errors import ConfigError, QPError, how_to_install
 __all__ = ["EQUALITY", "NO_BOUND", "DaqpSolver"]
 
 
-Posed = tuple[Array, Array, Array, Array, Array]
 EQUALITY = 5
 """DAQP's code of an equality."""
 NO_BOUND = 1e30
@@ -23,11 +22,15 @@ NO_BOUND = 1e30
 
 
 @jit
-def _posed(numbers: Numbers, posed: Posed) -> tuple[float, float]:
-    """Fill DAQP's H, c, A, high and low of low <= [v; A v] <= high, with A = W; return s and the mean curvature."""
-    H, c, W, w, lower, upper, l = numbers  # noqa: E741
-    H_out, c_out, A, high, low = posed
-    s, curvature = scale(numbers)
+def _posed(
+    H: Array, c: Array, W: Array, w: Array, lower: Array, upper: Array, l: int,  # noqa: E741
+    H_out: Array, c_out: Array, A: Array, high: Array, low: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Fill DAQP's H, c, A, high and low of low <= [v; A v] <= high, with A = W; return s and the mean curvature.
+
+    The first arguments are the `Numbers` of the problem.
+    """
+    s, curvature = scale((H, c, W, w, lower, upper, l))
     n = c.shape[0]
     H_out[:], c_out[:], A[:] = H / curvature, c / (s * curvature), W
     high[:n], high[n : n + l], high[n + l :] = upper / s, w[:l] / s, NO_BOUND
@@ -37,18 +40,18 @@ def _posed(numbers: Numbers, posed: Posed) -> tuple[float, float]:
 
 @jit
 def _answer(
-    numbers: Numbers, s: float, curvature: float, v: Array, lam: Array, u: Array, z: Array
-) -> tuple[float, float, float, float, int]:
+    H: Array, c: Array, W: Array, w: Array, lower: Array, upper: Array, l: int,  # noqa: E741
+    s: float, curvature: float, v: Array, lam: Array, u: Array, z: Array,
+) -> tuple[float, float, float, float, int]:  # fmt: skip
     """Fill u and z with DAQP's v and lam, unscaled; return their residuals (see `kkt`).
 
     DAQP's multiplier of a row at its lower bound is negative.
     """
-    _, c, _, w, _, _, l = numbers  # noqa: E741
     n, k, force = c.shape[0], w.shape[0], s * curvature
     u[:] = s * v
     z[:l], z[l:k] = force * lam[n : n + l], -force * lam[n + l :]
     z[k : k + n], z[k + n :] = np.maximum(force * lam[:n], 0.0), np.maximum(-force * lam[:n], 0.0)
-    residuals: tuple[float, float, float, float, int] = kkt(numbers, u, z, s, curvature)
+    residuals: tuple[float, float, float, float, int] = kkt((H, c, W, w, lower, upper, l), u, z, s, curvature)
     return residuals
 
 
@@ -84,7 +87,7 @@ class DaqpSolver:
             why = f"qp.solver is daqp, which is not installed: {how}, or --set qp.solver=clarabel"
             raise ConfigError(why) from error
         self._make_model = daqp.Model
-        self._models: dict[tuple[int, int, int], tuple[Any, Posed]] = {}
+        self._models: dict[tuple[int, int, int], tuple[Any, tuple[Array, ...]]] = {}
         self._fallback = fallback
         self.fallbacks = 0
 
@@ -100,7 +103,7 @@ class DaqpSolver:
         k = l + m
         kept = self._models.get(shape)
         posed = kept[1] if kept else (np.empty((n, n)), np.empty(n), np.empty((k, n)), np.empty(n + k), np.empty(n + k))
-        s, curvature = _posed(problem.numbers, posed)
+        s, curvature = _posed(*problem.numbers, *posed)
         check_finite(s, curvature)
         began = time.perf_counter()
         try:
@@ -118,7 +121,7 @@ class DaqpSolver:
             spent = time.perf_counter() - began
             if flag == 1 and info is not None:
                 u, z = np.empty(n), np.empty(k + 2 * n)
-                check(problem, *_answer(problem.numbers, s, curvature, v, info["lam"], u, z))
+                check(problem, *_answer(*problem.numbers, s, curvature, v, info["lam"], u, z))
                 return Solution(u, z, info["iterations"], spent)
         except (QPError, RuntimeError):  # DAQP's own error is that a Hessian is not positive definite
             pass
