@@ -229,9 +229,6 @@ class VelocityController:
         assert self.problem is not None  # the last one solved
         u = _within(self.solution.u, self.problem.lower, self.problem.upper, self._u, self.model.velocity_max)
         effort = self._effort(kin, state, u)
-        if effort is not None:
-            most = self.model.effort_max
-            effort = self._tau = _within(effort, -most, most, self._tau, most)
         self._u = u
         self._learn(state, u, effort, dt)
         return Command(state.time, u, effort)
@@ -252,8 +249,9 @@ class VelocityController:
         """Return the feedforward torques (n,) [N m], including damping; None without an inertial sensor."""
         if state.up is None:
             return None
-        effort = self._active.effort(self.phase, kin, state, u)
-        return effort if state.dq is None else _damped(effort, self.predictor.drive.damping, state.dq, u)
+        effort, dq = self._active.effort(self.phase, kin, state, u), u if state.dq is None else state.dq
+        self._tau = _damped(effort, self.predictor.drive.damping, dq, u, self._tau, self.model.effort_max)
+        return self._tau
 
     def _learn(self, state: State, u: Array, effort: Array | None, dt: float) -> None:
         """Include the command in the prediction, and tell the walk of another drive."""
@@ -352,12 +350,6 @@ class VelocityController:
 
 
 @jit
-def _damped(effort: Array, damping: Array, dq: Array, u: Array) -> Array:
-    """Return the torques of a command (n,) less the damping of the difference between measured and commanded rates."""
-    return effort - damping * (dq - u)
-
-
-@jit
 def _within(values: Array, lower: Array, upper: Array, before: Array, most: Array) -> Array:
     """Return the numbers of a command (n,) within two bounds, within +-`most`, and changed by no more in a period.
 
@@ -365,3 +357,13 @@ def _within(values: Array, lower: Array, upper: Array, before: Array, most: Arra
     """
     least, largest = np.maximum(before - most, -most), np.minimum(before + most, most)
     return np.minimum(np.maximum(np.minimum(np.maximum(values, lower), upper), least), largest)
+
+
+@jit
+def _damped(effort: Array, damping: Array, dq: Array, u: Array, before: Array, most: Array) -> Array:
+    """Return the torques of a command (n,) less the damping of the difference between measured and commanded rates.
+
+    They are limited as `_within` does.
+    """
+    damped: Array = _within(effort - damping * (dq - u), -most, most, before, most)
+    return damped

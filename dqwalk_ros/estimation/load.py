@@ -20,7 +20,7 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, Place, point_at, support_tree
+from dqwalk_ros.paper.kinematics import Kinematics, point_at, support_tree
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
@@ -50,21 +50,23 @@ class _Legs(NamedTuple):
     """Both legs, seen from a base sole.
 
     `right` is whether that is the right one, `pelvis` (n,) whether a joint moves the pelvis, `center` and
-    `other_center` (3,) the centres of the soles in their frames [m], and `other` the place of the other sole.
+    `other_center` (3,) the centres of the soles in their frames [m]; the rest is the `Place` of the other sole.
     """
 
     right: bool
     pelvis: Mask
     center: Array
     other_center: Array
-    other: Place
+    body: int
+    pose: Array
+    moves: Mask
 
     @classmethod
     def of(cls, model: RobotModel, base: Foot) -> Self:
         """Return the legs of a robot."""
         tree, sole, other = support_tree(model, base), model.soles[base], model.soles[base.other]
         pelvis = tree.frames[model.pelvis].moves
-        return cls(base is Foot.RIGHT, pelvis, sole.center, other.center, tree.frames[other.frame])
+        return cls(base is Foot.RIGHT, pelvis, sole.center, other.center, *tree.frames[other.frame])
 
 
 class FootLoads:
@@ -114,7 +116,7 @@ def _approach(dt: float) -> float:
 def _estimate(
     loads: Array, acceleration: Array, before: Array, dq: Array, effort: Array, dt: float, weight: float,
     armature: Array, lines: Array, com: Array, J_com: Array, poses: Array, up: Array, right: bool, pelvis: Mask,
-    center: Array, other_center: Array, other: Place,
+    center: Array, other_center: Array, body: int, pose: Array, moves: Mask,
 ) -> bool:  # fmt: skip
     """Filter the accelerations (n,) of the joints, whose velocities were `before` (n,), and the loads (2,) of the feet.
 
@@ -126,9 +128,9 @@ def _estimate(
         acceleration[:] = 0.0
     elif dt > 0.0:
         acceleration += _approach(dt) * ((dq - before) / dt - acceleration)
-    at_other = point_at(poses, other, other_center)
+    at_other = point_at(poses, body, pose, other_center)
     tau = effort - armature * acceleration
-    forces = _forces(lines, com, J_com, up, pelvis, other.moves, center, at_other, weight, tau)
+    forces = _forces(lines, com, J_com, up, pelvis, moves, center, at_other, weight, tau)
     _filter(loads, np.array([forces[1], forces[0]]) if right else forces, dt, weight)
     return True
 

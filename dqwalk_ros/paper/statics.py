@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, Place, compose, direction, point, support_tree
-from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.paper.kinematics import Kinematics, compose, direction, point, support_tree
+from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
 if TYPE_CHECKING:
@@ -34,22 +34,25 @@ class Soles(NamedTuple):
         [m].
     half : float
         Half of the length of the shorter sole [m].
-    other : Place
-        Place of the other sole.
+    body, pose, moves
+        `Place` of the other sole.
     """
 
     both: bool
     at: Array
     at_other: Array
     half: float
-    other: Place
+    body: int
+    pose: Array
+    moves: Mask
 
     @classmethod
     def of(cls, model: RobotModel, base: Foot, *, both: bool, at: Mapping[Foot, Array] | None = None) -> Self:
         """Return the soles of a robot; by default the points are their centres."""
         sole, other = model.soles[base], model.soles[base.other]
         points = (sole.center, other.center) if at is None else (at[base], at[base.other])
-        return cls(both, *points, 0.5 * min(sole.length, other.length), support_tree(model, base).frames[other.frame])
+        body, pose, moves = support_tree(model, base).frames[other.frame]
+        return cls(both, *points, 0.5 * min(sole.length, other.length), body, pose, moves)
 
 
 def gravity_torques(kin: Kinematics, *, both: bool) -> Array:
@@ -102,8 +105,8 @@ def share(pressure: Array, a: Array, b: Array) -> float:
 @jit
 def _borne_by_other(force: Array, pressure: Array, com: Array, lines: Array, poses: Array, soles: Soles) -> Array:
     """Return w (F.J_po + m.J_omega) of `ground_torques`, shape (n,) [N m]."""
-    x_other = compose(poses[soles.other.body], soles.other.pose)
-    a, b, half, moves = soles.at, point(x_other, soles.at_other), soles.half, soles.other.moves
+    x_other = compose(poses[soles.body], soles.pose)
+    a, b, half, moves = soles.at, point(x_other, soles.at_other), soles.half, soles.moves
     w = share(pressure, a, b)
     offset = pressure - a[:2] - w * (b - a)[:2]
     ahead_a, ahead_b = np.array([1.0, 0.0, 0.0]), direction(x_other, np.array([1.0, 0.0, 0.0]))

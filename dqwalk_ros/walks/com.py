@@ -42,14 +42,14 @@ def _measured(kin: Kinematics, state: State) -> tuple[Any, ...]:
     frames, dq, gyro = kin.tree.frames, state.dq, state.gyro
     if dq is None:
         dq, gyro = np.zeros(len(kin.q)), None
-    places = frames[kin.swing], frames[kin.model.imu]
+    places = tuple(frames[kin.swing]), tuple(frames[kin.model.imu])
     return kin.com, kin.com_jacobian, kin.lines, kin.poses, *places, dq, NOT_MEASURED if gyro is None else gyro
 
 
 @jit
 def _com_and_xi(
-    up: Array, omega: Array, share: float, com: Array, J_com: Array, lines: Array, poses: Array, swing: Place,
-    sensor: Place, dq: Array, gyro: Array,
+    up: Array, omega: Array, share: float, com: Array, J_com: Array, lines: Array, poses: Array, swing: tuple[Any, ...],
+    sensor: tuple[Any, ...], dq: Array, gyro: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return c and xi (2,) of `com_and_xi`."""
     v, along = _velocity(share, com, J_com, lines, poses, swing, sensor, dq, gyro), up[:2]
@@ -59,15 +59,16 @@ def _com_and_xi(
 
 @jit
 def _velocity(
-    share: float, com: Array, J_com: Array, lines: Array, poses: Array, swing: Place, sensor: Place, dq: Array,
-    gyro: Array,
+    share: float, com: Array, J_com: Array, lines: Array, poses: Array, swing: tuple[Any, ...],
+    sensor: tuple[Any, ...], dq: Array, gyro: Array,
 ) -> Array:  # fmt: skip
-    """Return the velocity (3,) of `com_velocity`."""
-    v: Array = moving_com(com, J_com, lines, poses, sensor, dq, gyro)
+    """Return the velocity (3,) of `com_velocity`; `swing` and `sensor` are places."""
+    other, imu = Place(*swing), Place(*sensor)
+    v: Array = moving_com(com, J_com, lines, poses, imu, dq, gyro)
     if share > 0.0:
-        p, J = point_at(poses, swing, np.zeros(3)), np.empty(J_com.shape)
-        jacobian(lines, swing.moves, p, 1.0, J)
-        v -= share * moving_com(p, J, lines, poses, sensor, dq, gyro)
+        p, J = point_at(poses, other.body, other.pose, np.zeros(3)), np.empty(J_com.shape)
+        jacobian(lines, other.moves, p, 1.0, J)
+        v -= share * moving_com(p, J, lines, poses, imu, dq, gyro)
     return v
 
 
@@ -80,7 +81,7 @@ def moving_com(com: Array, J_com: Array, lines: Array, poses: Array, sensor: Pla
     v = J_com @ dq
     if gyro.shape[0] > 0:
         # the angular velocity of the base sole is that of the sensor minus that by the joints
-        omega = direction_at(poses, sensor, gyro)
+        omega = direction_at(poses, sensor.body, sensor.pose, gyro)
         for i in range(lines.shape[0]):
             if sensor.moves[i]:
                 omega -= dq[i] * lines[i, :3]

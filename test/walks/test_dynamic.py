@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import itertools
 import math
@@ -30,11 +31,18 @@ from dqwalk_ros.studies import robustness
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.dynamic import walk as dynamic_walk
+from dqwalk_ros.walks.com import com_and_xi
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
-from dqwalk_ros.walks.dynamic.force import converging
+from dqwalk_ros.walks.dynamic.force import converging, fed_back
 from dqwalk_ros.walks.dynamic.ground import Ground
-from dqwalk_ros.walks.dynamic.pendulum import Pendulum, angular_momentum, swing_inertia
+from dqwalk_ros.walks.dynamic.pendulum import (
+    Moving,
+    Pendulum,
+    angular_momentum,
+    command,
+    swing_inertia,
+    when_acting,
+)
 from dqwalk_ros.walks.dynamic.plan import Pressed, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
@@ -187,9 +195,9 @@ def test_the_error_is_fed_back_that_remains_when_the_command_acts(assumed: float
     now.reset(c, c + v / OMEGA, c)
     now.use(delay)
     for k, z in enumerate(points):
-        now.command(k * dt, z)
+        command(Moving(*now.compiled), k * dt, z)
     time = 7 * dt + 0.003
-    found, xi = now.when_acting(time, c, c + v / OMEGA)
+    found, xi = when_acting(Moving(*now.compiled), time, c, c + v / OMEGA)
     begins = np.arange(8) * dt + delay - 0.5 * dt
     for at in np.arange(time, time + delay - 1e-9, 1e-4):
         acting = points[np.searchsorted(begins, at + 0.5e-4, side="right") - 1]
@@ -201,8 +209,8 @@ def test_the_error_is_fed_back_that_remains_when_the_command_acts(assumed: float
 def test_without_a_delay_the_measured_error_is_fed_back() -> None:
     now, c, xi = Pendulum(OMEGA, 0.0, 0.005), np.array([0.01, 0.02]), np.array([0.02, 0.01])
     now.reset(c, xi, xi)
-    now.command(1.0, np.array([0.1, 0.1]))
-    later = now.when_acting(1.005, c, xi)
+    command(Moving(*now.compiled), 1.0, np.array([0.1, 0.1]))
+    later = when_acting(Moving(*now.compiled), 1.005, c, xi)
     assert later[0] == pytest.approx(c, abs=1e-12)
     assert later[1] == pytest.approx(xi, abs=1e-12)
 
@@ -222,8 +230,8 @@ def test_the_pendulum_goes_on_in_the_axes_of_the_other_sole() -> None:
         for now, there in ((one, turn.points), (changes, turn.points if k >= 6 else lambda p: p)):
             now.advance(0.01)
             now.measure(0.01 * k, 0.01, there(xi))
-            later.append(now.when_acting(0.01 * k, there(c), there(xi)))
-            now.command(0.01 * k, there(z))
+            later.append(when_acting(Moving(*now.compiled), 0.01 * k, there(c), there(xi)))
+            command(Moving(*now.compiled), 0.01 * k, there(z))
     assert np.array(later[1]) == pytest.approx(np.array(later[0]))
     assert changes.c == pytest.approx(one.c)
     assert changes.smooth == pytest.approx(one.smooth)
@@ -459,17 +467,19 @@ def test_a_delay_moves_foot_pressure_and_reference_ahead(
     assert heights[0] > level + 1e-6
     assert heights[1] == pytest.approx(level, abs=1e-9)
 
-    walk, asked, led = prepared(config), [], []
+    walk = prepared(config)
     both = walk.phase(PhaseKind.DOUBLE_SUPPORT, Foot.RIGHT, q)
-    kin = Kinematics(MODEL, q, Foot.LEFT, up)
+    kin, omega = Kinematics(MODEL, q, Foot.LEFT, up), walk.pendulum.omega
     walk.observe(both, kin, still(1.0, q, up, 0.0))
-    planned = walk._reference
-    monkeypatch.setattr(planned, "at", lambda t: (asked.append(t), type(planned).at(planned, t))[1])
-    monkeypatch.setattr(dynamic_walk, "converging", lambda *numbers: (led.append(numbers), converging(*numbers))[1])
-    walk.observe(both, kin, still(1.0 + config.dt, q, up, config.dt))
-    assert {config.dt + drive.delay, config.dt + drive.delay - ahead} <= set(asked)
-    assert led[0][4] == pytest.approx(0.75 * ahead)
-    np.testing.assert_array_equal(led[0][2], planned.at(config.dt + led[0][4])[0])
+    planned, time, before = walk._reference, 1.0 + config.dt, copy.deepcopy(walk._now)
+    walk.observe(both, kin, still(time, q, up, config.dt))
+    now, (c, xi) = walk._now, com_and_xi(kin, still(time, q, up, 0.0), omega)
+    led = converging(now.c, now.xi, planned.at(config.dt + 0.75 * ahead)[0], omega, 0.75 * ahead)
+    np.testing.assert_allclose(walk._targets["com"].numbers, np.concatenate(led), rtol=1e-12)
+    _, xi = when_acting(Moving(*before.compiled), time, c, xi)
+    (due, _), (_, z) = (planned.at(config.dt + drive.delay - less) for less in (0.0, ahead))
+    fed = fed_back(z, due, xi, walk._gain, 0.0, *walk._support, config.standing.pressure_margin)
+    np.testing.assert_allclose(now.pressure, fed, rtol=1e-12)
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.04])
@@ -723,10 +733,13 @@ def test_a_biped_with_ankle_roll_walks_dynamically(speed: float, latency: float)
 
 
 def test_the_commanded_acceleration_is_that_of_the_commands_and_zero_after_a_gap() -> None:
-    walk, a, dt = DynamicWalk(CONFIG, MODEL), np.linspace(-3.0, 3.0, MODEL.n), CONFIG.dt
+    walk, q = prepared(CONFIG), MODEL.posture(CONFIG.standing.posture)
+    a, dt = np.linspace(-3.0, 3.0, MODEL.n), CONFIG.dt
+    phase, kin = walk.phase(PhaseKind.DOUBLE_SUPPORT, Foot.RIGHT, q), Kinematics(MODEL, q, Foot.LEFT, inclined(0.0))
+    walk.observe(phase, kin, still(0.0, q, kin.up, 0.0))
 
     def accelerated(time: float, u: np.ndarray) -> np.ndarray:
-        walk._accelerate(time, u)
+        walk.effort(phase, kin, still(time, q, kin.up, time), u)
         return walk._acceleration.copy()
 
     found = [accelerated(k * dt, a * k * dt) for k in range(40)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from dqwalk_ros.paper.geometry import moved_inside
@@ -9,7 +11,7 @@ from dqwalk_ros.paper.statics import GRAVITY, Soles, ground_torques
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["approach", "converging", "fed_back", "feedforward", "ground_force"]
+__all__ = ["converging", "fed_back", "feedforward", "ground_force"]
 
 
 _ACCELERATION = 0.01
@@ -45,27 +47,35 @@ def converging(c: Array, xi: Array, later: Array, omega: Array, time: float) -> 
 
 
 @jit
-def approach(acceleration: Array, before: Array, u: Array, passed: float) -> None:
-    """Filter the acceleration (n,) after velocities have changed from `before` to `u` (n,) in a time [s]."""
-    acceleration += (u - before - passed * acceleration) / (_ACCELERATION + passed)
-
-
-@jit
 def feedforward(
-    mass: float, force: Array, pressure: Array, acceleration: Array, inertia: Array, legs: Mask, up: Array, com: Array,
-    J_com: Array, lines: Array, poses: Array, soles: Soles,
+    acceleration: Array, before: Array, u: Array, passed: float, mass: float, force: Array, pressure: Array,
+    inertia: Array, legs: Mask, up: Array, com: Array, J_com: Array, lines: Array, poses: Array,
+    soles: tuple[Any, ...],
 ) -> Array:  # fmt: skip
     """Return the feedforward torques for a ground reaction force per mass through the zero-moment point, (n,) [N m].
 
     The joints `legs` (n,) between the base sole and the pelvis carry that force less the weight of the links below
     them: the support leg hardly moves, so the inertial forces act above it. In single support the joints of the swing
-    leg have the `acceleration` (n,) [rad/s^2] and the `inertia` (n, n) [kg m^2].
+    leg have the filtered `acceleration` (n,) [rad/s^2], which is updated, and the `inertia` (n, n) [kg m^2]. The
+    commanded velocities have changed from `before` to `u` (n,) [rad/s] in the time `passed` [s], or that is not known
+    (0).
     """
-    tau: Array = ground_torques(mass * force, pressure, com, J_com, lines, poses, soles)
+    on = Soles(*soles)
+    _approach(acceleration, before, u, passed)
+    tau: Array = ground_torques(mass * force, pressure, com, J_com, lines, poses, on)
     tau += mass * _leg_torques(lines, com, J_com, legs, pressure, force, GRAVITY * up)
-    if not soles.both:
+    if not on.both:
         tau += inertia @ acceleration
     return tau
+
+
+@jit
+def _approach(acceleration: Array, before: Array, u: Array, passed: float) -> None:
+    """Filter the acceleration (n,) after velocities have changed from `before` to `u` (n,) in a time [s], if known."""
+    if passed > 0.0:
+        acceleration += (u - before - passed * acceleration) / (_ACCELERATION + passed)
+    else:
+        acceleration[:] = 0.0
 
 
 @jit

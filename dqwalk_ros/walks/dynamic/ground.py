@@ -16,7 +16,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
 
-__all__ = ["Ground"]
+__all__ = ["Ground", "tipped"]
 
 
 _MEMORY = 2.0
@@ -30,27 +30,32 @@ class Ground:
     ----------
     up : ndarray, shape (3,)
         The vertical, the unit vector against gravity, in axes of a sole that stands flat on the ground.
+
+    Attributes
+    ----------
+    vertical : ndarray, shape (3,)
+        Its mean.
     """
 
     def __init__(self, up: Array) -> None:
-        self._vertical = up
+        self.vertical = up
 
     def observe(self, up: Array, dt: float) -> None:
         """Include the vertical `up` (3,) in axes of the supporting sole, `dt` [s] after the last one, in the mean."""
-        self._vertical = _mean(self._vertical, up, dt)
+        self.vertical = _mean(self.vertical, up, dt)
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
-        along = other.points(self._vertical[:2]) - other.points(np.zeros(2))
-        self._vertical = np.array([*along, self._vertical[2]])
+        along = other.points(self.vertical[:2]) - other.points(np.zeros(2))
+        self.vertical = np.array([*along, self.vertical[2]])
 
     def inclination(self, up: Array) -> float:
         """Return the inclination of the sole with the vertical `up` (3,) against the ground, if small [rad]."""
-        return float(np.linalg.norm(up - self._vertical))
+        return float(np.linalg.norm(up - self.vertical))
 
     def tipped(self, up: Array, unsure: float, place: Array) -> Array:
         """Return a pose (7,), position and unit quaternion, of a flat sole in the axes of a tipped one; see `tip`."""
-        x: Array = _tipped(self._vertical, up, unsure, place)
+        x: Array = tipped(self.vertical, up, unsure, place)
         return x
 
     def tip(self, up: Array, unsure: float) -> Array:
@@ -59,7 +64,7 @@ class Ground:
         It is smaller than the inclination against the ground by the dead zone `unsure` [rad], because a sole yields and
         the sensor is noisy.
         """
-        x: Array = _towards(self._vertical, up, unsure)
+        x: Array = _towards(self.vertical, up, unsure)
         return x
 
 
@@ -80,7 +85,7 @@ def _towards(a: Array, b: Array, less: float) -> Array:
 
 
 @jit
-def _tipped(a: Array, b: Array, less: float, place: Array) -> Array:
+def tipped(a: Array, b: Array, less: float, place: Array) -> Array:
     """Return a pose (7,), position and unit quaternion, turned about the origin as `_towards` does."""
     x = _towards(a, b, less)
     r = quaternion_product(x[0], x[1], x[2], x[3], place[3], place[4], place[5], place[6])

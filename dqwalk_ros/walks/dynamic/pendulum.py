@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
 
-__all__ = ["InvertedPendulum", "Pendulum", "angular_momentum", "swing_inertia"]
+__all__ = ["InvertedPendulum", "Moving", "Pendulum", "angular_momentum", "command", "swing_inertia", "when_acting"]
 
 
 _SMOOTH = 0.02
@@ -138,46 +138,59 @@ class Pendulum:
 
     def use(self, delay: float) -> None:
         """Use another delay T [s] from the next command on."""
-        self._delay, self._wait = delay, max(delay - 0.5 * self._period, 0.0)
+        self.delay, self.wait = delay, max(delay - 0.5 * self._period, 0.0)
         if (more := math.ceil(delay / self._period) + 3 - len(self._points)) > 0:
             self._points = np.concatenate([np.repeat(self._points[:1], more, axis=0), self._points])
             self._begins = np.concatenate([np.full(more, -math.inf), self._begins])
 
     def reset(self, c: Array, xi: Array, planned: Array) -> None:
         """Begin at the measured c and xi (2,) with the divergent component `planned` (2,) [m]; nothing is under way."""
-        self.c, self.xi, self.smooth = c, planned, xi
+        self.c[:], self.xi[:], self.smooth[:] = c, planned, xi
         self._points[:], self._begins[:] = c, -math.inf
 
     def advance(self, dt: float) -> None:
         """Move the reference of the CoM by `dt` [s], c' = w (xi - c)."""
-        self.c = _converging(self.c, self.xi, self._omega, dt)
+        _converge(self.c, self.xi, self._omega, dt)
 
     def measure(self, time: float, dt: float, xi: Array) -> None:
         """Include xi (2,) [m], measured at `time`, `dt` after the last one [s]."""
-        self.smooth = _filtered(self._begins, self._points, time, dt, self.smooth, xi, self._omega)
+        _filter(self._begins, self._points, time, dt, self.smooth, xi, self._omega)
 
-    def when_acting(self, time: float, c: Array, xi: Array) -> tuple[Array, Array]:
-        """Return c and xi (2,) [m] when the command for the state at `time` [s] acts, from those at `time`."""
-        c, xi = _later(self._begins, self._points, time, time + self._delay, c, xi, self._omega)
-        return c, xi
-
-    def command(self, time: float, z: Array) -> None:
-        """Note the zero-moment point z (2,) [m] that is commanded for the state at `time` [s]."""
-        self.pressure = z
-        _append(self._begins, self._points, time + self._wait, z)
+    @property
+    def compiled(self) -> tuple[Any, ...]:
+        """The fields of `Moving`."""
+        return (
+            self._omega, self.delay, self.wait, self.c, self.xi, self.smooth, self.pressure, self._begins, self._points
+        )  # fmt: skip
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
-        self.c, self.xi, self.smooth, self.pressure = (
-            other.points(p) for p in (self.c, self.xi, self.smooth, self.pressure)
-        )
-        self._points = other.points(self._points)
+        for p in (self.c, self.xi, self.smooth, self.pressure, self._points):
+            p[:] = other.points(p)
+
+
+class Moving(NamedTuple):
+    """A `Pendulum` in the form that compiled code updates: its attributes, and the points (m, 2) under way.
+
+    `wait` is the time from a measurement to the beginning of the period in which its command acts, and `begins` (m,)
+    are the times since when the points act [s].
+    """
+
+    omega: Array
+    delay: float
+    wait: float
+    c: Array
+    xi: Array
+    smooth: Array
+    pressure: Array
+    begins: Array
+    points: Array
 
 
 @jit
-def _converging(c: Array, xi: Array, omega: Array, dt: float) -> Array:
-    """Return c (2,) after `dt` [s], c' = w (xi - c)."""
-    return c + dt * omega * (xi - c)
+def _converge(c: Array, xi: Array, omega: Array, dt: float) -> None:
+    """Move c (2,) by `dt` [s], c' = w (xi - c)."""
+    c += dt * omega * (xi - c)
 
 
 @jit
@@ -191,34 +204,33 @@ def _in_effect(begins: Array, points: Array, time: float) -> Array:
 
 
 @jit
-def _append(begins: Array, points: Array, begin: float, z: Array) -> None:
-    """Replace the oldest of the `points` (m, 2) by z (2,), which acts from `begin` [s] on."""
-    for k in range(begins.shape[0] - 1):
-        begins[k], points[k] = begins[k + 1], points[k + 1]
-    begins[-1], points[-1] = begin, z
+def command(now: Moving, time: float, z: Array) -> None:
+    """Note the zero-moment point z (2,) [m] that is commanded for the state at `time` [s], in place of the oldest."""
+    for k in range(now.begins.shape[0] - 1):
+        now.begins[k], now.points[k] = now.begins[k + 1], now.points[k + 1]
+    now.begins[-1], now.points[-1] = time + now.wait, z
+    now.pressure[:] = z
 
 
 @jit
-def _later(
-    begins: Array, points: Array, time: float, end: float, c: Array, xi: Array, omega: Array
-) -> tuple[Array, Array]:
-    """Return c and xi (2,) at `end` [s], from those at `time` [s], while the `points` (m, 2) act one after the other.
+def when_acting(now: Moving, time: float, c: Array, xi: Array) -> tuple[Array, Array]:
+    """Return c and xi (2,) [m] when the command for the state at `time` [s] acts, from those at `time`.
 
-    For each, in closed form, xi' = w (xi - z), and zeta' = -w (zeta - z) of its stable counterpart zeta = 2 c - xi.
+    The points under way act one after the other. For each, in closed form, xi' = w (xi - z), and
+    zeta' = -w (zeta - z) of its stable counterpart zeta = 2 c - xi.
     """
-    zeta, last = 2.0 * c - xi, begins.shape[0] - 1
+    zeta, last, end = 2.0 * c - xi, now.begins.shape[0] - 1, time + now.delay
     for k in range(last + 1):
-        until = end if k == last else min(begins[k + 1], end)
+        until = end if k == last else min(now.begins[k + 1], end)
         if until > time:
-            z, e = points[k], np.exp(omega * (until - time))
+            z, e = now.points[k], np.exp(now.omega * (until - time))
             xi, zeta, time = z + e * (xi - z), z + (zeta - z) / e, until
     return 0.5 * (xi + zeta), xi
 
 
 @jit
-def _filtered(begins: Array, points: Array, time: float, dt: float, smooth: Array, xi: Array, omega: Array) -> Array:
-    """Return the filtered xi (2,): that of `dt` [s] ago, moved as the pendulum, approaches the measured one."""
+def _filter(begins: Array, points: Array, time: float, dt: float, smooth: Array, xi: Array, omega: Array) -> None:
+    """Move the filtered xi (2,) of `dt` [s] ago as the pendulum, and towards the measured one."""
     z = _in_effect(begins, points, time - 0.5 * dt)
-    moved = smooth + dt * omega * (smooth - z)  # xi' = w (xi - z)
-    filtered: Array = moved + dt / (_SMOOTH + dt) * (xi - moved)
-    return filtered
+    smooth += dt * omega * (smooth - z)  # xi' = w (xi - z)
+    smooth += dt / (_SMOOTH + dt) * (xi - smooth)

@@ -8,17 +8,23 @@ is stable, from the last planned step to the current one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.compiled import FLOAT, MATRIX, NOTHING, VECTOR, Signature, jit
 from dqwalk_ros.walks.following import minimum_jerk
 
-__all__ = ["Pressed", "Reference", "Rest", "Support", "before", "single_supports"]
+__all__ = ["REFERENCE", "Pressed", "Reference", "Rest", "Support", "before", "single_supports"]
+
+
+REFERENCE = Signature(NOTHING, VECTOR, FLOAT, MATRIX)
+"""Type of the functions of references: they fill `out` from (numbers, elapsed, out)."""
 
 
 _OFFSET = 0.4
@@ -56,37 +62,52 @@ def before(a: Array, b: Array, end: Array, time: float, omega: Array) -> Array:
 
 
 @jit
-def _pressed(a: Array, b: Array, end: Array, duration: float, omega: Array, elapsed: float) -> Array:
-    """Return xi and z of `Pressed`, shape (2, 2)."""
-    out = np.empty((2, 2))
+def _pressed(numbers: Array, elapsed: float, out: Array) -> None:
+    """Fill the rows of `out` (2, 2) with xi and z of `Pressed`."""
+    a, b, end, duration, omega = numbers[:2], numbers[2:4], numbers[4:6], numbers[6], numbers[7:]
     left = min(max(duration - elapsed, 0.0), duration)
     z = b - left / duration * (b - a)
     out[0], out[1] = before(z, b, end, left, omega), z
-    return out
 
 
 @jit
-def _resting(start: Array, goal: Array, duration: float, omega: Array, elapsed: float) -> Array:
-    """Return xi and z of `Rest`, shape (2, 2)."""
-    out = np.empty((2, 2))
+def _resting(numbers: Array, elapsed: float, out: Array) -> None:
+    """Fill the rows of `out` (2, 2) with xi and z of `Rest`."""
+    start, goal, duration, omega = numbers[:2], numbers[2:4], numbers[4], numbers[5:]
     place, slope, _ = minimum_jerk(elapsed / duration)
     way = goal - start
     xi = start + place * way
     out[0], out[1] = xi, xi - slope / duration * way / omega
-    return out
 
 
-class Reference(Protocol):
-    """Planned divergent component xi and zero-moment point z during a phase of `duration` [s]."""
+class Reference(ABC):
+    """Planned divergent component xi and zero-moment point z during a phase of `duration` [s].
 
+    `function` is the compiled function of the class, of the type `REFERENCE`.
+    """
+
+    function: ClassVar[Callable[[Array, float, Array], None]]
     duration: float
+
+    @property
+    @abstractmethod
+    def numbers(self) -> Array:
+        """All constants, which the function takes, one-dimensional."""
+
+    @cached_property
+    def compiled(self) -> tuple[Any, Array]:
+        """Entry of the function in a table of the type `REFERENCE`, and its numbers."""
+        return REFERENCE.table([type(self).function])[0], self.numbers
 
     def at(self, elapsed: float) -> tuple[Array, Array]:
         """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
+        out = np.empty((2, 2))
+        type(self).function(self.compiled[1], elapsed, out)
+        return out[0], out[1]
 
 
-@dataclass
-class Pressed:
+@dataclass(frozen=True)
+class Pressed(Reference):
     """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`.
 
     Attributes
@@ -106,15 +127,16 @@ class Pressed:
     end: Array
     duration: float
     omega: Array
+    function = _pressed
 
-    def at(self, elapsed: float) -> tuple[Array, Array]:
-        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
-        xi, z = _pressed(self.a, self.b, self.end, self.duration, self.omega, elapsed)
-        return xi, z
+    @property
+    def numbers(self) -> Array:
+        """Shape (9,)."""
+        return np.array([*self.a, *self.b, *self.end, self.duration, *self.omega])
 
 
-@dataclass
-class Rest:
+@dataclass(frozen=True)
+class Rest(Reference):
     """Reference of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends.
 
     Attributes
@@ -131,11 +153,12 @@ class Rest:
     goal: Array
     duration: float
     omega: Array
+    function = _resting
 
-    def at(self, elapsed: float) -> tuple[Array, Array]:
-        """Return xi and z (2,) [m], `elapsed` [s] into the phase."""
-        xi, z = _resting(self.start, self.goal, self.duration, self.omega, elapsed)
-        return xi, z
+    @property
+    def numbers(self) -> Array:
+        """Shape (7,)."""
+        return np.array([*self.start, *self.goal, self.duration, *self.omega])
 
 
 class Support(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.following import minimum_jerk
 
-__all__ = ["Climb", "Swing"]
+__all__ = ["Swing", "advanced", "climbing"]
 
 
 _LIFT, _LAND = 0.02, 0.06
@@ -26,27 +25,12 @@ _CLEAR = 0.15
 """Fraction of the duration without motion along the ground, in addition, on the lower side of the edge of a stair."""
 
 
-@dataclass
-class Climb:
-    """A change of height on a minimum-jerk path.
-
-    Attributes
-    ----------
-    start, end : float
-        [m]
-    duration : float
-        [s]
-    """
-
-    start: float
-    end: float
-    duration: float
-
-    def at(self, elapsed: float) -> tuple[float, float]:
-        """Return height [m] and velocity [m/s], `elapsed` [s] after the start."""
-        place, slope, _ = minimum_jerk(elapsed / self.duration)
-        way = self.end - self.start
-        return self.start + place * way, slope / self.duration * way
+@jit
+def climbing(start: float, end: float, duration: float, elapsed: float) -> tuple[float, float]:
+    """Return height [m] and velocity [m/s] on a minimum-jerk path of a duration [s], `elapsed` [s] after its start."""
+    place, slope, _ = minimum_jerk(elapsed / duration)
+    way = end - start
+    return start + place * way, slope / duration * way
 
 
 class Swing:
@@ -95,6 +79,11 @@ class Swing:
         self._path = np.array([z, height, *a.vec4(), *half, np.linalg.norm(half), level, climb, lift, land])
         self._state = np.array([done, self.begun, x, y, 0.0, 0.0])
 
+    @property
+    def compiled(self) -> tuple[Array, Array, Array]:
+        """The first three arguments of `advanced`."""
+        return self._state, self.goal, self._path
+
     def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
         """Advance to a time and return the motion there.
 
@@ -114,12 +103,12 @@ class Swing:
         acceleration : ndarray, shape (2,)
             Along the ground [m/s^2].
         """
-        pose, velocity, acceleration = _advanced(self._state, self.goal, self._path, elapsed, duration)
+        pose, velocity, acceleration = advanced(*self.compiled, elapsed, duration)
         return pose, velocity, acceleration
 
 
 @jit
-def _advanced(state: Array, goal: Array, path: Array, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
+def advanced(state: Array, goal: Array, path: Array, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
     """Advance `state` (6,) to the time `elapsed`; see `Swing.step`.
 
     It is the completed fraction of the time, the time [s], and place and velocity along the ground; `path` (14,) is the

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +33,12 @@ from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.com import com_and_xi
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
-from dqwalk_ros.walks.dynamic.force import approach, converging, fed_back, feedforward, ground_force
+from dqwalk_ros.walks.dynamic.force import feedforward
 from dqwalk_ros.walks.dynamic.ground import Ground
+from dqwalk_ros.walks.dynamic.law import GROUNDED, answer
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
-from dqwalk_ros.walks.dynamic.swing import Climb, Swing
+from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.following import AtRest, Follow, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
 from dqwalk_ros.walks.footsteps import Carried, stair_height
@@ -65,12 +67,6 @@ _CONFIRMED = 0.015
 """Time above the threshold after which a step is adjusted, to reject measurement noise; at least two states [s]."""
 _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
-_AHEAD_OF_DELAY = 0.75
-"""Part of the delay less a period by which the reference of the CoM is ahead; with less the weight is transferred late,
-and with all of it a bus at 50 Hz tilts the soles."""
-_DOWN_AHEAD = 1.4
-"""Multiple of the delay less a period by which the path of a swing foot ends early; with less the leg still moves when
-the foot lands."""
 _ALONG = 0.9
 """Least part along x or y of the axis of a joint that rolls or pitches the trunk."""
 _SHIFT = 0.1
@@ -90,7 +86,6 @@ class _Flight:
     """
 
     rule: Timed
-    reference: Pressed
     step: Step
     swing: Swing
     goal: Array
@@ -135,7 +130,7 @@ class DynamicWalk(SteppingWalk):
         kin = Kinematics(model, self.posture, self._first)
         self._height = float(kin.com[2])  # of the CoM in the posture [m]
         self._roll_joints, self._pitch_joints = _trunk(kin)
-        self._climb = Climb(0.0, 0.0, 1.0)  # of the CoM over its height in the posture
+        self._climb = 0.0, 0.0  # height of the CoM over that in the posture, when the phase begins and ends [m]
         self.pendulum: InvertedPendulum
         self._inertia: dict[Foot, Array]  # (n, n) of the swing leg with its rotors, for each base sole [kg m^2]
         self._ground: Ground
@@ -148,8 +143,9 @@ class DynamicWalk(SteppingWalk):
         self._descends = False  # whether the swing foot of the next single support is in the air already
         self._targets: dict[str, Target] = {}
         self._trunk_roll: AtRest | None = None
+        self._trunk_held = False
         self._outwards = 0.0  # that of the step before this phase [m]
-        self._soles: Soles
+        self._soles: tuple[Any, ...]  # fields of `Soles`
         self._legs: Mask  # (n,), whether a joint is between the base sole and the pelvis
 
     @staticmethod
@@ -371,32 +367,40 @@ class DynamicWalk(SteppingWalk):
             change = self._adjust_step(flight, phase, c, t)
         elif isinstance(self._reference, Pressed):
             change = self._adjust_transfer(self._reference, phase, phase.rule, t)
-        now.xi, _ = self._reference.at(t)
-        # the error of xi that remains when the command acts is fed back
-        c, xi = now.when_acting(state.time, c, xi)
-        due, z = self._reference.at(t + self._drive.delay)
-        if phase.kind is PhaseKind.DOUBLE_SUPPORT:  # until a sole is down, no pressure can move towards it
-            _, z = self._reference.at(t + self._drive.delay - self._advance)
-        reaction = 0.0
-        if flight is not None:  # the foot must be on the ground before the weight is transferred
-            down = flight.rule.duration - _DOWN_AHEAD * self._advance + self.config.dynamic.land_late
-            place, velocity, acceleration = flight.swing.step(t, down)
-            self._targets["swing"].set(self._ground.tipped(up, self._unsure, place), velocity)
-            reaction = self.pendulum.swing * acceleration[0]
-        margin = self.config.standing.pressure_margin
-        now.command(state.time, fed_back(z, due, xi, self._gain, reaction, *self._support, margin))
-        self._force = ground_force(c, now.pressure, omega, up)
-        ahead = _AHEAD_OF_DELAY * self._advance
-        later, _ = self._reference.at(t + ahead)
-        self._targets["com"].set(*converging(now.c, now.xi, later, omega, ahead))
-        self._climb.duration = phase.rule.duration
-        above, rising = self._climb.at(t + ahead)
-        self._targets["height"].set(self._height + above, rising)
-        self._targets["upright"].set(up[:2], 0.0)
+        self._answer(phase, phase.rule, state, (c, xi, up), t)
         if self._trunk_roll is not None:
             most = flight.outwards if flight is not None else self._outwards
-            self._trunk_roll.switch(most > _OUTWARDS * self._threshold and phase.kind is not PhaseKind.STANCE)
+            held = most > _OUTWARDS * self._threshold and phase.kind is not PhaseKind.STANCE
+            if held is not self._trunk_held:
+                self._trunk_held = held
+                self._trunk_roll.switch(held)
         return change
+
+    def _answer(self, phase: Phase, rule: Timed, state: State, measured: tuple[Array, Array, Array], t: float) -> None:
+        """Set the targets of the tasks and the force of the ground for the measured c, xi and vertical; see `answer`.
+
+        `t` is the time since the beginning of the phase [s].
+        """
+        d, flight, targets, margin = (
+            self.config.dynamic,
+            self._flight,
+            self._targets,
+            self.config.standing.pressure_margin,
+        )
+        settings = self._advance, self._gain, self._unsure, margin, d.land_late, self.pendulum.swing, self._height
+        answer(
+            (state.time, t, rule.duration, *measured, self._ground.vertical),
+            settings,
+            self._now.compiled,
+            self._reference.compiled,
+            self._support,
+            self._climb,
+            phase.kind is PhaseKind.DOUBLE_SUPPORT,
+            flight is not None,
+            GROUNDED if flight is None else (*flight.swing.compiled, targets["swing"].numbers),
+            *(targets[name].numbers for name in ("com", "height", "upright")),
+            self._force,
+        )
 
     def _keep_on_ground(self, phase: Phase, least: Array, up: Array) -> None:
         """Hold the foot that has landed in the plane of the ground while the base sole, which was tipped, comes down.
@@ -434,13 +438,14 @@ class DynamicWalk(SteppingWalk):
             if flight.lost < self._confirmed:
                 return None
         rule.duration, flight.shift, over = adjusted(step, xi, t, rule.duration, flight.shift, d)
-        flight.reference.duration = rule.duration
-        flight.reference.end = step.landing + step.offset + flight.shift
+        end = step.landing + step.offset + flight.shift
+        assert isinstance(self._reference, Pressed)
+        self._reference = replace(self._reference, duration=rule.duration, end=end)
         flight.swing.goal = flight.goal + flight.shift
         flight.most = max(flight.most, float(np.abs(over).max()))
         flight.outwards = max(flight.outwards, float(over[1]) * (1.0 if phase.base is Foot.LEFT else -1.0))
         if np.abs(over).max() > _RESIDUAL:
-            self._now.c = self._now.c + _APPROACH * (c - self._now.c)
+            self._now.c += _APPROACH * (c - self._now.c)
         return None
 
     def _adjust_transfer(self, reference: Pressed, phase: Phase, rule: Timed, t: float) -> Change | None:
@@ -456,9 +461,10 @@ class DynamicWalk(SteppingWalk):
         if self.config.dynamic.catch and abs(xi[1] - due[1]) > self._threshold and waits:
             most = self.config.dynamic.hurry
             left += min(max(transfer_time(reference, z, xi, planned - t) - left, -most), most)
-            reference.duration = rule.duration = t + left
-            reference.a = reference.b - (reference.b - z) * reference.duration / left
-        longer = reference.duration - planned
+            rule.duration = t + left
+            a = reference.b - (reference.b - z) * rule.duration / left
+            self._reference = replace(reference, a=a, duration=rule.duration)
+        longer = rule.duration - planned
         if left > 1.5 * self.config.dt or longer < self.config.dt or phase.decision:
             return None
         return Change(
@@ -482,12 +488,13 @@ class DynamicWalk(SteppingWalk):
         """Plan a phase for the current poses of the feet, in the axes of the base sole of the phase."""
         before, self._known = self._known, phase
         other, level = Footprint.of(kin.pose(kin.swing)), self._level(kin)
-        if before is not None and before.base is not phase.base:  # transform from the previous base sole
+        changes = before is not None and before.base is not phase.base
+        if changes:  # transform from the previous base sole
             self._ground.change_base(other)
             self._now.change_base(other)
-            self._climb.end += level  # over the new base sole
         self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
         self._trunk_roll = next((task for task in phase.tasks if isinstance(task, AtRest)), None)
+        self._trunk_held = False
         landed = before is not None and before.kind is PhaseKind.SINGLE_SUPPORT and before.base is phase.base
         self._tipped = kin.up if landed and self._ground.inclination(kin.up) > _TIPPED else None
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
@@ -496,24 +503,24 @@ class DynamicWalk(SteppingWalk):
         omega, rule, sole = self.pendulum.omega, phase.rule, self.model.soles[phase.base]
         outline = sole.outline
         assert isinstance(rule, Timed)
-        above = self._climb.end
-        self._climb = Climb(above, above, rule.duration)
+        above = end = self._climb[1] + (level if changes else 0.0)  # over the base sole
         if phase.swing_target is not None:
             self._reference = self._flight_reference(phase, kin, rule)
-            self._climb.end = min(float(DQ(phase.swing_target).translation()[2]), 0.0)
+            end = min(float(DQ(phase.swing_target).translation()[2]), 0.0)
         else:
             beside = other.points(self.model.soles[phase.base.other].corners[:, :2])
             outline = ConvexPolygon.hull(np.concatenate([sole.corners[:, :2], beside]))
             if phase.kind is PhaseKind.STANCE:
                 middle = 0.5 * (self._aim(phase.base, Footprint()) + self._aim(phase.base.other, other))
-                self._reference = Rest(self._now.xi, middle, rule.duration, omega)
+                self._reference = Rest(self._now.xi.copy(), middle, rule.duration, omega)
             else:
                 self._reference = self._transfer_reference(phase, other, rule, before)
+        self._climb = above, end
         self._support = outline.edges()
         self._legs = kin.tree.frames[self.model.pelvis].moves
         alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
         both = phase.double
-        self._soles = Soles.of(self.model, phase.base, both=both, at=alone)
+        self._soles = tuple(Soles.of(self.model, phase.base, both=both, at=alone))
 
     def _transfer_reference(self, phase: Phase, other: Footprint, rule: Timed, before: Phase | None) -> Reference:
         """Return the reference of a double support, which ends on the foot at `other`."""
@@ -521,7 +528,7 @@ class DynamicWalk(SteppingWalk):
         start, _ = ends[0]
         if before is None or before.kind is not PhaseKind.SINGLE_SUPPORT:
             rule.duration = self.config.dynamic.start_duration
-            return Rest(self._now.xi, start, rule.duration, omega)
+            return Rest(self._now.xi.copy(), start, rule.duration, omega)
         rule.duration = self._transfer = supports[0].double
         left = self._aim(phase.base, Footprint()) + self._roll(Footprint(), self._step_now)
         return Pressed(left, supports[0].first, start, rule.duration, omega)
@@ -549,7 +556,7 @@ class DynamicWalk(SteppingWalk):
         swing = Swing(start, target, self.config.gait.step_height, whole, level, still)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
-        self._flight = _Flight(rule, reference, step, swing, swing.goal, lost=self._confirmed if self._pushed else 0)
+        self._flight = _Flight(rule, step, swing, swing.goal, lost=self._confirmed if self._pushed else 0)
         return reference
 
     def _plan(
@@ -598,21 +605,14 @@ class DynamicWalk(SteppingWalk):
 
         The joints of the swing leg are accelerated as commanded by `u` (n,) [rad/s].
         """
-        self._accelerate(state.time, u)
+        passed = state.time - self._commanded
         tau: Array = feedforward(
-            self._mass, self._force, self._now.pressure, self._acceleration, self._inertia[phase.base], self._legs,
-            kin.up, kin.com, kin.com_jacobian, kin.lines, kin.poses, self._soles,
+            self._acceleration, self._u, u, passed if passed <= _GAP else 0.0, self._mass, self._force,
+            self._now.pressure, self._inertia[phase.base], self._legs, kin.up, kin.com, kin.com_jacobian, kin.lines,
+            kin.poses, self._soles,
         )  # fmt: skip
+        self._commanded, self._u = state.time, u
         return tau
-
-    def _accelerate(self, time: float, u: Array) -> None:
-        """Filter the acceleration of the commands, of which `u` (n,) [rad/s] is that at `time` [s]."""
-        passed = time - self._commanded
-        if 0.0 < passed <= _GAP:
-            approach(self._acceleration, self._u, u, passed)
-        else:
-            self._acceleration[:] = 0.0
-        self._commanded, self._u = time, u
 
 
 def _trunk(kin: Kinematics) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

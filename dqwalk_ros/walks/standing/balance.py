@@ -7,7 +7,7 @@ late to balance it; feedforward torques act immediately.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,16 +52,16 @@ class Balance:
         tree = support_tree(model, phase.base)
         self.phase, self._both = phase, phase.double
         path = next((task for task in phase.tasks if isinstance(task, ComPath)), None)
-        self._goal: _Goal | None = None
+        self._goal: tuple[Any, ...] | None = None  # the fields of `_Goal`
         if path is not None and standing.balance > 0.0:
             over = [goal.placed(tree) for goal in path.over]
             bodies, points = np.array([body for body, _ in over]), np.array([offset for _, offset in over])
-            self._goal = _Goal(path.start, path.duration, bodies, points)
+            self._goal = path.start, path.duration, bodies, points
         edges = next((constraint for constraint in phase.inequalities if isinstance(constraint, ComInsideEdges)), None)
         self._edges = edges.polygon.edges() if edges is not None else _NO_EDGES
         self._gain, self._margin, self._mass = standing.balance, standing.pressure_margin, model.mass
-        self._sensor = tree.frames[model.imu]
-        self._soles = Soles.of(model, phase.base, both=self._both)
+        self._sensor = tuple(tree.frames[model.imu])
+        self._soles = tuple(Soles.of(model, phase.base, both=self._both))
 
     def __call__(self, kin: Kinematics, state: State) -> Array:
         """Return the joint torques (n,) [N m] that compensate gravity and accelerate the CoM towards its path.
@@ -84,21 +84,23 @@ class Balance:
 
 @jit
 def _torques(
-    com: Array, J_com: Array, lines: Array, poses: Array, up: Array, sensor: Place, dq: Array, gyro: Array,
-    elapsed: float, goal: _Goal, n: Array, d: Array, gain: float, margin: float, mass: float, soles: Soles,
+    com: Array, J_com: Array, lines: Array, poses: Array, up: Array, sensor: tuple[Any, ...], dq: Array, gyro: Array,
+    elapsed: float, goal: tuple[Any, ...], n: Array, d: Array, gain: float, margin: float, mass: float,
+    soles: tuple[Any, ...],
 ) -> Array:  # fmt: skip
     """Return the joint torques (n,) [N m] of `Balance`.
 
-    `n` and `d` are the edges of the support polygon, and `margin` [m] is the distance of the pressure from them.
+    `n` and `d` are the edges of the support polygon, and `margin` [m] is the distance of the pressure from them;
+    `sensor` is a `Place`, `goal` a `_Goal`, and `soles` are `Soles`.
     """
-    v = moving_com(com, J_com, lines, poses, sensor, dq, gyro)
-    s = np.zeros(2 + 3 * goal.bodies.shape[0])
-    for j in range(goal.bodies.shape[0]):
-        s[2 + 3 * j : 5 + 3 * j] = point(poses[goal.bodies[j]], goal.points[j])
-    c_d, v_d, a_d = com_path(s, goal.start, elapsed, goal.duration)
+    v, to = moving_com(com, J_com, lines, poses, Place(*sensor), dq, gyro), _Goal(*goal)
+    s = np.zeros(2 + 3 * to.bodies.shape[0])
+    for j in range(to.bodies.shape[0]):
+        s[2 + 3 * j : 5 + 3 * j] = point(poses[to.bodies[j]], to.points[j])
+    c_d, v_d, a_d = com_path(s, to.start, elapsed, to.duration)
     a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, n, d, gain, margin)
     force = mass * (GRAVITY * up + a)
-    tau: Array = ground_torques(force, pressure, com, J_com, lines, poses, soles)
+    tau: Array = ground_torques(force, pressure, com, J_com, lines, poses, Soles(*soles))
     return tau
 
 
