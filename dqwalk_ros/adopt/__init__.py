@@ -27,6 +27,7 @@ from dqwalk_ros.adopt.doubts import (
 )
 from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
 from dqwalk_ros.adopt.parameters import (
+    ASSUMED,
     HEAVY_LEGS,
     LONGEST,
     Numbers,
@@ -290,7 +291,7 @@ def _entries(
     entries = changed(entries, changes, "given by --set")
     given = {entry.what: entry.value for entry in entries}
     if "servo.assumed" not in given and "servo.types" not in given:
-        reason = "equal to servo.damping: with less, stiff legs tremble"
+        reason = f"{ASSUMED:g} of servo.damping: with less stiff legs tremble, with all of it commands alternate"
         entries.append(Entry("servo.assumed", list(assumed(given["servo.damping"])), reason, "guess"))
     Config().updated({entry.what: entry.value for entry in entries})  # no file is written of invalid values
     return entries

@@ -64,6 +64,8 @@ ROTOR = 0.03
 """Inertia of a servo's rotor times its no-load speed, divided by its stall torque [s]; 0.01 to 0.09 in the table."""
 UNKNOWN = 0.5, 6.0
 """Stall torque, as a part of m g h, and no-load speed [rad/s] of servos without limits in the description."""
+ASSUMED = 0.75
+"""Assumed damping of the servos, as a part of theirs: with 0.6 stiff legs tremble, with 1 their commands alternate."""
 HEAVY_LEGS = 0.65
 """Part of the robot's mass above which legs are too heavy for the dynamic walk, that of a pendulum on light legs."""
 REFERENCE = 0.46
@@ -420,12 +422,12 @@ def _servo_parameters(n: Numbers) -> list[Entry]:
     ]
 
 
-def assumed(damping: float) -> tuple[str, ...]:
-    """Return ``servo.assumed`` of servos with a `damping` [s]: with less, stiff legs tremble and land beside targets.
+def assumed(damping: float, part: float = ASSUMED) -> tuple[str, ...]:
+    """Return ``servo.assumed`` of servos with a `damping` [s], of which a `part` is assumed.
 
     It has precedence over ``servo.assumed_damping``, which the files of plants give for all robots.
     """
-    return (f"*=damping {damping:g}",)
+    return (f"*=damping {rounded(part * damping):g}",)
 
 
 def servo_types(given: Sequence[str], joints: Sequence[str], table: Collection[str]) -> list[str]:

@@ -176,7 +176,9 @@ def dynamic_walks(
     config = load(found.folder / "dynamic.yaml")
     servo, gait = config.servo, config.gait
     yields = {"servo.window": rounded(max(_YIELDS * servo.window, 1e-3), 2)}
-    ahead = {"servo.assumed_lead": servo.damping}
+    ahead: dict[str, Any] = {"servo.assumed_lead": servo.damping}
+    if servo.assumed:
+        ahead |= {"servo.assumed": list(assumed(servo.damping, 1.0))}
     shorter = {
         **{f"gait.{key}": rounded(_SHORTER * getattr(gait, key), 2) for key in ("step_length", "most_length")},
         "gait.steps": math.ceil(gait.steps / _SHORTER),

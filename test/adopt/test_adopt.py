@@ -263,13 +263,15 @@ def test_the_dynamic_walk_has_the_froude_number_of_its_comment_and_the_drive_of_
 
 
 @pytest.mark.parametrize("walk", ["robot", "dynamic"])
-def test_the_controller_takes_the_damping_of_the_servos_for_what_it_is_in_physics(walk: str, small: Adoption) -> None:
+def test_the_controller_assumes_three_quarters_of_the_damping_of_the_servos_in_physics(
+    walk: str, small: Adoption
+) -> None:
     config = load(small.folder / f"{walk}.yaml")
     drive = Drive.of(overlaid(config, "physics"), small.model)
-    assert drive.lag / drive.stiffness == pytest.approx(np.full(small.model.n, config.servo.damping))
+    assert drive.lag / drive.stiffness == pytest.approx(np.full(small.model.n, 0.75 * config.servo.damping), rel=0.02)
     cured = {key: value for _, values in cures(config, small.numbers, ()) for key, value in values.items()}
     drive = Drive.of(overlaid(config.updated(cured), "physics"), small.model)
-    assert drive.lag / drive.stiffness == pytest.approx(np.full(small.model.n, cured["servo.damping"]))
+    assert drive.lag / drive.stiffness == pytest.approx(np.full(small.model.n, 0.75 * cured["servo.damping"]), rel=0.02)
 
 
 def test_a_joint_that_cannot_do_the_steps_of_the_dynamic_walk_is_named(small: Adoption) -> None:
