@@ -61,6 +61,10 @@ def digest(module: str) -> str:
 
 
 _CONFIG: Any = numba.config
+if "NUMBA_OPT" not in os.environ:
+    # LLVM's first level compiles in three quarters of the time of its third, and functions of arrays of this size run
+    # as fast; all functions that numba compiles in this process have it
+    _CONFIG.OPT = type(_CONFIG.OPT)(1)
 _folder: pathlib.Path | None = None  # numba's own choice
 _no_cache = ""
 if "NUMBA_CACHE_DIR" not in os.environ:
