@@ -150,10 +150,10 @@ def dynamic_walks(
     standing: Mapping[str, Any],
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk the dynamic walk in physics; if it falls or its report is not OK, try three cures, one after the other.
+    """Walk the dynamic walk in physics; if it falls or its report is not OK, try four cures, one after the other.
 
-    Legs yield more, goals are ahead by all of the servos' lag, steps are shorter: the latter two with the changes of
-    the best of the walks before.
+    Legs yield more, also with all of the servos' lag assumed; goals are ahead by all of this lag, steps are shorter:
+    the latter two with the changes of the best of the walks before.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
@@ -176,9 +176,8 @@ def dynamic_walks(
     config = load(found.folder / "dynamic.yaml")
     servo, gait = config.servo, config.gait
     yields = {"servo.window": rounded(max(_YIELDS * servo.window, 1e-3), 2)}
-    ahead: dict[str, Any] = {"servo.assumed_lead": servo.damping}
-    if servo.assumed:
-        ahead |= {"servo.assumed": list(assumed(servo.damping, 1.0))}
+    lag: dict[str, Any] = {"servo.assumed": list(assumed(servo.damping, 1.0))} if servo.assumed else {}
+    ahead = {**lag, "servo.assumed_lead": servo.damping}
     shorter = {
         **{f"gait.{key}": rounded(_SHORTER * getattr(gait, key), 2) for key in ("step_length", "most_length")},
         "gait.steps": math.ceil(gait.steps / _SHORTER),
@@ -187,6 +186,7 @@ def dynamic_walks(
     tried = (
         ("", none),
         (f"legs that yield more ({_YIELDS:g} times servo.window)", yields),
+        ("such legs, and all of the servos' lag assumed (servo.assumed)", {**yields, **lag} if lag else none),
         ("goals that are ahead by all of the servos' lag (servo.assumed_lead)", ahead),
         (f"shorter steps ({_SHORTER:g} times gait.step_length)", shorter),
     )
@@ -196,7 +196,7 @@ def dynamic_walks(
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
         if what and not kept:
             continue
-        kept = {**(best(walks).changes if changes in (ahead, shorter) else {}), **kept}
+        kept = {**(best(walks).changes if changes is ahead or changes is shorter else {}), **kept}
         write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)
         walks.append(replace(trial(), changes=kept))
         yield walks[-1], what

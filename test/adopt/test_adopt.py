@@ -292,21 +292,22 @@ FINE, CLOSE, BESIDE, FELL = (
 @pytest.mark.parametrize(
     ("walks", "given", "factors"),
     [
-        ([FINE], (), (1.0, 0.7, 1.0)),
-        ([BESIDE, FINE], (), (0.4, 0.7, 1.0)),
-        ([FELL, BESIDE, BESIDE, BESIDE], (), (0.4, 0.7, 1.0)),
-        ([BESIDE, FELL, FINE], (), (1.0, 1.0, 1.0)),
-        ([BESIDE, FELL, BESIDE, BESIDE], (), (1.0, 0.7, 1.0)),
-        ([BESIDE, FELL, BESIDE, CLOSE], (), (1.0, 0.7, 0.7)),
-        ([BESIDE, CLOSE, FELL, FINE], (), (0.4, 0.7, 0.7)),
-        ([BESIDE, FELL, CLOSE, FINE], ("gait.step_length",), (1.0, 1.0, 0.7)),
-        ([BESIDE, BESIDE, FINE], ("servo.window",), (1.0, 0.7, 0.7)),
+        ([FINE], (), (1.0, 0.75, 0.7, 1.0)),
+        ([BESIDE, FINE], (), (0.4, 0.75, 0.7, 1.0)),
+        ([BESIDE, FELL, FINE], (), (0.4, 1.0, 0.7, 1.0)),
+        ([FELL, BESIDE, BESIDE, BESIDE, BESIDE], (), (0.4, 0.75, 0.7, 1.0)),
+        ([BESIDE, FELL, FELL, FINE], (), (1.0, 1.0, 1.0, 1.0)),
+        ([BESIDE, FELL, FELL, BESIDE, BESIDE], (), (1.0, 0.75, 0.7, 1.0)),
+        ([BESIDE, FELL, FELL, BESIDE, CLOSE], (), (1.0, 0.75, 0.7, 0.7)),
+        ([BESIDE, CLOSE, FELL, FELL, FINE], (), (0.4, 0.75, 0.7, 0.7)),
+        ([BESIDE, FELL, FELL, CLOSE, FINE], ("gait.step_length",), (1.0, 1.0, 1.0, 0.7)),
+        ([BESIDE, FELL, BESIDE, FINE], ("servo.window",), (1.0, 0.75, 0.7, 0.7)),
     ],
 )
 def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user_is_changed(
     walks: list[Trial],
     given: tuple[str, ...],
-    factors: tuple[float, float, float],
+    factors: tuple[float, float, float, float],
     small: Adoption,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -319,11 +320,9 @@ def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user
     assert [done.stood for done, _ in dynamic_walks(found, own, {})] == [one.stood for one in walks]
     after = load(tmp_path / "robot" / "dynamic.yaml")
     servo, old = after.servo, before.servo
-    changed = [
-        servo.window / old.window,
-        servo.assumed_lead / servo.damping,
-        after.gait.step_length / before.gait.step_length,
-    ]
+    lag = float(servo.assumed[0].removeprefix("*=damping ")) / servo.damping
+    short = after.gait.step_length / before.gait.step_length
+    changed = [servo.window / old.window, lag, servo.assumed_lead / servo.damping, short]
     assert changed == pytest.approx(factors, rel=0.03)
     far = (after.gait.steps - after.dynamic.ramp) * after.gait.step_length
     assert 3.2 <= far < 3.4
