@@ -11,7 +11,7 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["NOT_MEASURED", "com_and_xi", "com_velocity", "moving_com"]
+__all__ = ["NOT_MEASURED", "com_and_xi", "com_velocity", "measured", "moving_com", "projected"]
 
 
 NOT_MEASURED = np.empty(0)
@@ -24,7 +24,7 @@ def com_velocity(kin: Kinematics, state: State, share: float = 0.0) -> Array:
     Each sole is at rest as far as it bears the weight, of which the other sole has the fraction `share`. So a base sole
     that has left uneven ground in double support, and moves, is not taken to be at rest.
     """
-    v: Array = _velocity(share, *_measured(kin, state))
+    v: Array = _velocity(share, *measured(kin, state))
     return v
 
 
@@ -33,12 +33,12 @@ def com_and_xi(kin: Kinematics, state: State, omega: Array, share: float = 0.0) 
 
     `omega` (2,) are the frequencies w of the pendulum [1/s]; `share` as in `com_velocity`.
     """
-    c, xi = _com_and_xi(kin.up, omega, share, *_measured(kin, state))
+    c, xi = projected(kin.up, omega, share, *measured(kin, state))
     return c, xi
 
 
-def _measured(kin: Kinematics, state: State) -> tuple[Any, ...]:
-    """Return what the velocity of the CoM is computed from, as the compiled functions below take it."""
+def measured(kin: Kinematics, state: State) -> tuple[Any, ...]:
+    """Return what the velocity of the CoM is computed from, as `projected` takes it."""
     frames, dq, gyro = kin.tree.frames, state.dq, state.gyro
     if dq is None:
         dq, gyro = np.zeros(len(kin.q)), None
@@ -47,7 +47,7 @@ def _measured(kin: Kinematics, state: State) -> tuple[Any, ...]:
 
 
 @jit
-def _com_and_xi(
+def projected(
     up: Array, omega: Array, share: float, com: Array, J_com: Array, lines: Array, poses: Array, swing: tuple[Any, ...],
     sensor: tuple[Any, ...], dq: Array, gyro: Array,
 ) -> tuple[Array, Array]:  # fmt: skip

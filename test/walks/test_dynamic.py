@@ -34,12 +34,14 @@ from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.com import com_and_xi
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.force import converging, fed_back
-from dqwalk_ros.walks.dynamic.ground import Ground
+from dqwalk_ros.walks.dynamic.ground import Ground, include
 from dqwalk_ros.walks.dynamic.pendulum import (
     Moving,
     Pendulum,
+    advance,
     angular_momentum,
     command,
+    measure,
     swing_inertia,
     when_acting,
 )
@@ -228,8 +230,8 @@ def test_the_pendulum_goes_on_in_the_axes_of_the_other_sole() -> None:
             changes.change_base(turn)
         later = []
         for now, there in ((one, turn.points), (changes, turn.points if k >= 6 else lambda p: p)):
-            now.advance(0.01)
-            now.measure(0.01 * k, 0.01, there(xi))
+            advance(Moving(*now.compiled), 0.01)
+            measure(Moving(*now.compiled), 0.01 * k, 0.01, there(xi))
             later.append(when_acting(Moving(*now.compiled), 0.01 * k, there(c), there(xi)))
             command(Moving(*now.compiled), 0.01 * k, there(z))
     assert np.array(later[1]) == pytest.approx(np.array(later[0]))
@@ -416,7 +418,7 @@ def test_the_ground_is_inclined_as_the_soles_are_in_the_mean() -> None:
         if k % 100 == 99:
             ground.change_base(turn)
             slope = DQ(turn.pose).P().Ad(DQ([0.0, *slope])).vec3()
-        ground.observe(slope + 0.02 * random.normal(size=3), 0.005)
+        include(ground.vertical, slope + 0.02 * random.normal(size=3), 0.005)
     assert ground.tip(slope, 1e-3) == pytest.approx(DQ(1.0).vec8(), abs=2e-3)
 
 

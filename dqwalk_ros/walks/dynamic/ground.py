@@ -16,7 +16,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
 
-__all__ = ["Ground", "tipped"]
+__all__ = ["Ground", "include", "tipped"]
 
 
 _MEMORY = 2.0
@@ -38,11 +38,7 @@ class Ground:
     """
 
     def __init__(self, up: Array) -> None:
-        self.vertical = up
-
-    def observe(self, up: Array, dt: float) -> None:
-        """Include the vertical `up` (3,) in axes of the supporting sole, `dt` [s] after the last one, in the mean."""
-        self.vertical = _mean(self.vertical, up, dt)
+        self.vertical = up.copy()
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
@@ -69,9 +65,9 @@ class Ground:
 
 
 @jit
-def _mean(vertical: Array, up: Array, dt: float) -> Array:
-    """Return the mean vertical (3,), in which `up` (3,) is included, `dt` [s] after the last one."""
-    return vertical + dt / (_MEMORY + dt) * (up - vertical)
+def include(vertical: Array, up: Array, dt: float) -> None:
+    """Include the vertical `up` (3,) in axes of the supporting sole, `dt` [s] after the last one, in the mean (3,)."""
+    vertical += dt / (_MEMORY + dt) * (up - vertical)
 
 
 @jit

@@ -1,7 +1,7 @@
 """The law of the dynamic walk: from a measured state to the targets of its tasks and the force of the ground.
 
-It is one compiled call for each state, which calls the functions of the plan, the pendulum, the swing foot, the ground
-and the force.
+It is two compiled calls for each state, which call the functions of the CoM, the pendulum, the ground, the plan, the
+swing foot and the force: `notice` what is measured, by which the step may be adjusted, and `answer`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import numpy as np
 
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.walks.com import projected
 from dqwalk_ros.walks.dynamic.force import converging, fed_back, ground_force
-from dqwalk_ros.walks.dynamic.ground import tipped
-from dqwalk_ros.walks.dynamic.pendulum import Moving, command, when_acting
+from dqwalk_ros.walks.dynamic.ground import include, tipped
+from dqwalk_ros.walks.dynamic.pendulum import Moving, advance, command, measure, when_acting
 from dqwalk_ros.walks.dynamic.plan import REFERENCE
 from dqwalk_ros.walks.dynamic.swing import advanced, climbing
 
-__all__ = ["GROUNDED", "Measured", "Settings", "answer"]
+__all__ = ["GROUNDED", "Measured", "Settings", "answer", "notice"]
 
 
 _AHEAD_OF_DELAY = 0.75
@@ -64,6 +65,24 @@ class Settings(NamedTuple):
     late: float
     reaction: float
     height: float
+
+
+@jit
+def notice(
+    time: float, dt: float, up: Array, vertical: Array, pendulum: tuple[Any, ...], c: Array, xi: Array, share: float,
+    com: Array, J_com: Array, lines: Array, poses: Array, swing: tuple[Any, ...], sensor: tuple[Any, ...], dq: Array,
+    gyro: Array,
+) -> None:  # fmt: skip
+    """Fill c and xi (2,) [m], and include a state at `time`, `dt` after the last one [s].
+
+    The pendulum, whose fields are those of `Moving`, and the mean `vertical` (3,) of the ground go on. The arguments
+    from `share` on are those of `projected`.
+    """
+    now = Moving(*pendulum)
+    c[:], xi[:] = projected(up, now.omega, share, com, J_com, lines, poses, swing, sensor, dq, gyro)
+    advance(now, dt)
+    include(vertical, up, dt)
+    measure(now, time, dt, xi)
 
 
 _planned = REFERENCE.call

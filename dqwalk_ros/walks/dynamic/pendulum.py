@@ -22,7 +22,10 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
 
-__all__ = ["InvertedPendulum", "Moving", "Pendulum", "angular_momentum", "command", "swing_inertia", "when_acting"]
+__all__ = [
+    "InvertedPendulum", "Moving", "Pendulum", "advance", "angular_momentum", "command", "measure", "swing_inertia",
+    "when_acting",
+]  # fmt: skip
 
 
 _SMOOTH = 0.02
@@ -148,14 +151,6 @@ class Pendulum:
         self.c[:], self.xi[:], self.smooth[:] = c, planned, xi
         self._points[:], self._begins[:] = c, -math.inf
 
-    def advance(self, dt: float) -> None:
-        """Move the reference of the CoM by `dt` [s], c' = w (xi - c)."""
-        _converge(self.c, self.xi, self._omega, dt)
-
-    def measure(self, time: float, dt: float, xi: Array) -> None:
-        """Include xi (2,) [m], measured at `time`, `dt` after the last one [s]."""
-        _filter(self._begins, self._points, time, dt, self.smooth, xi, self._omega)
-
     @property
     def compiled(self) -> tuple[Any, ...]:
         """The fields of `Moving`."""
@@ -188,9 +183,10 @@ class Moving(NamedTuple):
 
 
 @jit
-def _converge(c: Array, xi: Array, omega: Array, dt: float) -> None:
-    """Move c (2,) by `dt` [s], c' = w (xi - c)."""
-    c += dt * omega * (xi - c)
+def advance(now: Moving, dt: float) -> None:
+    """Move the reference of the CoM by `dt` [s], c' = w (xi - c)."""
+    c = now.c
+    c += dt * now.omega * (now.xi - c)
 
 
 @jit
@@ -229,8 +225,8 @@ def when_acting(now: Moving, time: float, c: Array, xi: Array) -> tuple[Array, A
 
 
 @jit
-def _filter(begins: Array, points: Array, time: float, dt: float, smooth: Array, xi: Array, omega: Array) -> None:
-    """Move the filtered xi (2,) of `dt` [s] ago as the pendulum, and towards the measured one."""
-    z = _in_effect(begins, points, time - 0.5 * dt)
-    smooth += dt * omega * (smooth - z)  # xi' = w (xi - z)
+def measure(now: Moving, time: float, dt: float, xi: Array) -> None:
+    """Include xi (2,) [m], measured at `time`, `dt` after the last one [s], in the filtered one."""
+    smooth, z = now.smooth, _in_effect(now.begins, now.points, time - 0.5 * dt)
+    smooth += dt * now.omega * (smooth - z)  # xi' = w (xi - z)
     smooth += dt / (_SMOOTH + dt) * (xi - smooth)

@@ -31,11 +31,11 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.com import com_and_xi
+from dqwalk_ros.walks.com import com_and_xi, measured
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.force import feedforward
 from dqwalk_ros.walks.dynamic.ground import Ground
-from dqwalk_ros.walks.dynamic.law import GROUNDED, answer
+from dqwalk_ros.walks.dynamic.law import GROUNDED, answer, notice
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
@@ -125,7 +125,7 @@ class DynamicWalk(SteppingWalk):
         self._now: Pendulum
         self._time = -math.inf
         self._confirmed = max(round(_CONFIRMED / config.dt), 2)  # number of states
-        self._force = GRAVITY * Z
+        self._force, self._measured = GRAVITY * Z, np.zeros((2, 2))  # c and xi at the last state
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
         kin = Kinematics(model, self.posture, self._first)
         self._height = float(kin.com[2])  # of the CoM in the posture [m]
@@ -344,30 +344,28 @@ class DynamicWalk(SteppingWalk):
     def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
         """Update the targets of the phase, adjust the step, and compute the desired ground reaction force."""
         super().observe(phase, kin, state)
-        omega, up, now = self.pendulum.omega, kin.up, self._now
+        share, up, now = self._share(phase, state), kin.up, self._now
         dt = state.time - self._time
         self._time = state.time
-        c, xi = com_and_xi(kin, state, omega, self._share(phase, state))
         if not 0.0 <= dt <= _GAP:
-            dt = 0.0
+            dt, (c, xi) = 0.0, com_and_xi(kin, state, self.pendulum.omega, share)
             now.reset(c, xi, xi if self._descends else c)
             self._ground = Ground(up)
-        now.advance(dt)
         if phase is not self._known:
             self._begin(phase, kin)
-        self._ground.observe(up, dt)
+        c, xi = self._measured
+        notice(state.time, dt, up, self._ground.vertical, now.compiled, c, xi, share, *measured(kin, state))
         if self._tipped is not None:
             self._keep_on_ground(phase, self._tipped, up)
         assert isinstance(phase.rule, Timed)
         t = state.elapsed + phase.rule.begun
         self._rests = t >= phase.rule.duration
-        now.measure(state.time, dt, xi)
         flight, change = self._flight, None
         if flight is not None:
             change = self._adjust_step(flight, phase, c, t)
         elif isinstance(self._reference, Pressed):
             change = self._adjust_transfer(self._reference, phase, phase.rule, t)
-        self._answer(phase, phase.rule, state, (c, xi, up), t)
+        self._answer(phase, phase.rule, state, up, t)
         if self._trunk_roll is not None:
             most = flight.outwards if flight is not None else self._outwards
             held = most > _OUTWARDS * self._threshold and phase.kind is not PhaseKind.STANCE
@@ -376,20 +374,13 @@ class DynamicWalk(SteppingWalk):
                 self._trunk_roll.switch(held)
         return change
 
-    def _answer(self, phase: Phase, rule: Timed, state: State, measured: tuple[Array, Array, Array], t: float) -> None:
-        """Set the targets of the tasks and the force of the ground for the measured c, xi and vertical; see `answer`.
-
-        `t` is the time since the beginning of the phase [s].
-        """
-        d, flight, targets, margin = (
-            self.config.dynamic,
-            self._flight,
-            self._targets,
-            self.config.standing.pressure_margin,
-        )
+    def _answer(self, phase: Phase, rule: Timed, state: State, up: Array, t: float) -> None:
+        """Set the targets of the tasks and the force of the ground, `t` [s] after the beginning of the phase."""
+        d, flight, targets = self.config.dynamic, self._flight, self._targets
+        margin = self.config.standing.pressure_margin
         settings = self._advance, self._gain, self._unsure, margin, d.land_late, self.pendulum.swing, self._height
         answer(
-            (state.time, t, rule.duration, *measured, self._ground.vertical),
+            (state.time, t, rule.duration, *self._measured, up, self._ground.vertical),
             settings,
             self._now.compiled,
             self._reference.compiled,
