@@ -107,7 +107,6 @@ class DriveWatch:
             return
         (t0, before), (t1, after) = self._commands[0], self._commands[1]
         sample = _sampled(q, before, after, delayed - t0, t1 - t0)
-        sample[2] = np.tanh(sample[1] / _SIGN)
         self._samples.append((time, sample))
         if time - self._samples[0][0] < _SPAN - 1e-9:
             return
@@ -129,7 +128,7 @@ class DriveWatch:
         if not self._solved - self._since > _FORGET:
             return math.nan
         K = self._assumed.stiffness
-        (_, _, softer), (_, _, known) = _fitted(self._products, self._count)
+        (_, _, softer), (_, _, known) = _fitted(self._products, 4, self._count)
         weights = known / np.maximum(K, 1e-3) ** 2
         return 1.0 / max(1.0 - float(weights @ (K * softer) / weights.sum()), 0.05)
 
@@ -145,7 +144,7 @@ class DriveWatch:
 
     def _solve(self) -> None:
         """Set `drive`, and after some time of walking `delay` and the reference of the stiffness."""
-        (later, _), (known, _) = _fitted(self._products[:, :3, :3], self._count)
+        (later, _), (known, _) = _fitted(self._products, 3, self._count)
         true, walked = self._T - _median(later, known) + _HELD * self._period, self._solved - self._since
         if walked > _FORGET:
             self.delay = true - self._assumed.delay
@@ -168,13 +167,13 @@ class DriveWatch:
 
 @jit
 def _sampled(q: Array, before: Array, after: Array, passed: float, period: float) -> Array:
-    """Return q - S, u, a row for its sign, and e (4, n), a time `passed` after `before`, of a period to `after` [s].
+    """Return q - S, u, its sign and e (4, n), a time `passed` after `before`, of a period to `after` [s].
 
     S and e are the rows of `before` and `after` (2, n), and q (n,) are the angles.
     """
     rate = (after - before) / period
-    then, sample = before + passed * rate, np.zeros((4, q.shape[0]))
-    sample[0], sample[1], sample[3] = q - then[0], rate[0], then[1]
+    then, sample = before + passed * rate, np.empty((4, q.shape[0]))
+    sample[0], sample[1], sample[2], sample[3] = q - then[0], rate[0], np.tanh(rate[0] / _SIGN), then[1]
     return sample
 
 
@@ -192,26 +191,54 @@ def _accumulate(products: Array, sample: Array, before: Array) -> float:
     return kept
 
 
-def _fitted(products: Array, count: float) -> tuple[Array, Array]:
-    """Return the coefficients with which the other quantities explain the first one, and the information on each.
+@jit
+def _fitted(products: Array, size: int, count: float) -> tuple[Array, Array]:
+    """Return the coefficients with which other quantities explain the first one, and the information on each.
 
     Parameters
     ----------
     products : ndarray, shape (n, k, k)
         Sums of the products of the quantities, for each joint.
+    size : int
+        Number of the quantities that are used, from the first on.
     count : float
         Number of products.
 
     Returns
     -------
-    coefficients, information : ndarray, shape (k - 1, n)
+    coefficients, information : ndarray, shape (size - 1, n)
         The information is less where the first quantity is not explained.
     """
-    P, y = products[:, 1:, 1:], products[:, 1:, 0]
-    inverse = np.linalg.inv(P + _TINY * np.eye(P.shape[1]))
-    x = (inverse @ y[..., None])[..., 0]
-    left = np.maximum(products[:, 0, 0] - (x * y).sum(axis=1), 0.0) / count
-    return x.T, np.minimum(_NOISE**2 / np.maximum(left, 1e-12), 1.0) / np.diagonal(inverse, axis1=1, axis2=2).T
+    n, m = products.shape[0], size - 1
+    coefficients, information, inverse = np.zeros((m, n)), np.empty((m, n)), np.empty((m, m))
+    for i in range(n):
+        P, left = products[i], products[i, 0, 0]
+        inverse[:] = P[1:size, 1:size]
+        _invert(inverse)
+        for j in range(m):
+            for k in range(m):
+                coefficients[j, i] += inverse[j, k] * P[k + 1, 0]
+            left -= coefficients[j, i] * P[j + 1, 0]
+        explained = min(_NOISE**2 / max(left / count, 1e-12), 1.0)
+        for j in range(m):
+            information[j, i] = explained / inverse[j, j]
+    return coefficients, information
+
+
+@jit
+def _invert(A: Array) -> None:
+    """Invert a symmetric, positive matrix (m, m), to which a little is added (Gauss and Jordan)."""
+    for j in range(A.shape[0]):
+        A[j, j] += _TINY
+    for j in range(A.shape[0]):
+        pivot = A[j, j]
+        A[j, j] = 1.0
+        A[j] /= pivot
+        for i in range(A.shape[0]):
+            if i != j:
+                factor = A[i, j]
+                A[i, j] = 0.0
+                A[i] -= factor * A[j]
 
 
 def _median(values: Array, weights: Array) -> float:
