@@ -86,10 +86,8 @@ class ClarabelSolver:
         program = self._programs.get(key)
         if program is None:
             program = self._programs[key] = _ClarabelProgram(n, l, len(chosen), careful=careful)
-        try:
-            pose(problem.numbers, s, curvature, chosen, program.posed)
-        except np.linalg.LinAlgError as error:
-            raise QPError("the Hessian is not positive definite", status="NotConvex") from error
+        if not pose(problem.numbers, s, curvature, chosen, program.posed):
+            raise QPError("the Hessian is not positive definite", status="NotConvex")
         found, spent = program.solve()
         status, t, y = str(found.status), np.array(found.x), np.array(found.z)
         u, z = np.empty(n), np.zeros(l + m + 2 * n)
