@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import itertools
 import math
+import pickle
 from pathlib import Path
 
 import mujoco
@@ -94,6 +95,9 @@ def test_xi_diverges_from_z(reference: Pressed | Rest) -> None:
         xi, z = reference.at(t)
         slope = (reference.at(t + h)[0] - reference.at(t - h)[0]) / (2.0 * h)
         assert slope == pytest.approx(OMEGA * (xi - z), abs=1e-7)
+    again = pickle.loads(pickle.dumps(reference))  # in another process its function has another address
+    assert "compiled" not in vars(again)
+    np.testing.assert_array_equal(again.at(0.1), reference.at(0.1))
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.015])

@@ -130,6 +130,8 @@ class Pendulum:
         Filtered measured divergent component [m].
     pressure : ndarray, shape (2,)
         Last commanded zero-moment point [m].
+    delay, wait : float
+        T, and the time until the period begins in which a command acts [s].
     """
 
     def __init__(self, omega: Array, delay: float, period: float) -> None:

@@ -105,6 +105,10 @@ class Reference(ABC):
         type(self).function(self.compiled[1], elapsed, out)
         return out[0], out[1]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but `compiled`: the addresses of functions are those of this process."""
+        return {name: value for name, value in self.__dict__.items() if name != "compiled"}
+
 
 @dataclass(frozen=True)
 class Pressed(Reference):
