@@ -147,6 +147,11 @@ class SwingPath(Task):
     lever: float
     function = sole_from_path
 
+    def at(self, elapsed: float) -> tuple[Array, Array]:
+        """Return place (3,) [m] and velocity, linear and angular, (6,) of the path `elapsed` [s] after its start."""
+        place, _, velocity = _swing_path(self.parameters, elapsed)
+        return place, velocity
+
     @property
     def watches(self) -> tuple[Feature, ...]:
         """Position and orientation of the sole."""

@@ -34,6 +34,10 @@ __all__ = ["JOINT_RETURN", "SteppingWalk"]
 
 JOINT_RETURN = 0.5
 """Largest speed at which a joint beyond its limit is required to return [rad/s]."""
+_STOPPED = 2.0
+"""Part of its sole's length by which a foot may be further behind its path, per second of the servos' delay [1/s]."""
+_CATCHES_UP = 0.1
+"""Time in which a foot that is not stopped catches up with the present place of its path [s]."""
 _LIFTED = 0.004
 """Height of a sole above the plane of the other one from which on it is in the air [m]."""
 
@@ -228,6 +232,25 @@ class SteppingWalk(Walk):
         _, left, turn = self._twist
         to_left = turn if turn else left
         return self._first if not to_left else Foot.RIGHT if to_left > 0.0 else Foot.LEFT
+
+    def _stopped(
+        self, phase: Phase, kin: Kinematics, state: State, place: Array, velocity: Array, delay: float, least: float
+    ) -> Change | None:
+        """Return the change if an obstacle stops the swing foot; it must not be pushed on, or the robot falls.
+
+        `place` (>= 2,) [m] and `velocity` (>= 2,) [m/s] are those of its path, which it follows with the `delay` [s] of
+        the servos. It is stopped if it is behind by the fraction `least` of the length of its sole, without a delay,
+        and does not catch up.
+        """
+        here, length = kin.point(kin.swing)[:2], self.model.soles[phase.base.other].length
+        way = place[:2] - delay * velocity[:2] - here
+        behind = math.hypot(*way.tolist())
+        if phase.swing_target is None or behind < (least + _STOPPED * delay) * length:
+            return None
+        if state.dq is not None and way @ (kin.point_jacobian(kin.swing)[:2] @ state.dq) * _CATCHES_UP > behind**2:
+            return None
+        missed = math.hypot(*(DQ(phase.swing_target).translation()[:2] - here).tolist())
+        return Change(f"an obstacle stops the foot {1e3 * missed:.0f} mm from its target")
 
     def _held(self, kin: Kinematics) -> FrameHeld:
         """Return the equality that holds the other sole level at its present pose."""

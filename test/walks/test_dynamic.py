@@ -520,6 +520,28 @@ def test_a_push_that_tips_the_sole_outwards_is_caught(length: float, impulse: fl
     assert not pushed(config, Push("left", 0.5 * math.pi, impulse, part=part))
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"servo.latency": 0.02, "servo.assumed_latency": 0.02},
+        {"gait.step_length": 0.126, "gait.most_length": 0.126, "dynamic.quicken": 0.08, "dynamic.aim_inside": 0.0},
+        {"gait.steps": 0, "gait.footsteps": ["0.05 0 0 0"] * 10},
+    ],
+)
+def test_a_foot_that_an_obstacle_stops_lands_there(changes: dict[str, object]) -> None:
+    """Pushed on it makes the robot fall. Afterwards there are steps on the spot, and no commanded footsteps."""
+    ahead = {"gait.steps": 10, "physics.rise": 0.05, "physics.stairs_at": 0.15}
+    config = overlaid(CONFIG, "physics").updated({**ahead, "qp.solver": "daqp", **changes})
+    plant, controller = make_plant("physics", config, MODEL), make_controller(config, MODEL)
+    trace = simulate(controller, plant)
+    assert trace.finished, trace.notes
+    stopped = [k for k, phase in enumerate(trace.phases) if "obstacle" in phase.decision]
+    assert stopped
+    assert all(later - k > 6 for k, later in itertools.pairwise(stopped))
+    assert len(trace.phases) == (stopped[0] + 4 if config.gait.footsteps else 24)
+
+
 @pytest.mark.long
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(

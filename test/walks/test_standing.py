@@ -337,6 +337,21 @@ def test_in_physics_the_papers_walk_loads_its_swing_foot() -> None:
     assert report["physics"]["cop_inside"] < 0.9
 
 
+def test_a_foot_that_an_obstacle_stops_is_put_down() -> None:
+    """Pushed on, it lets the supporting sole slip, and the robot falls in the third step."""
+    ahead = {"gait.steps": 4, "physics.rise": 0.05, "physics.stairs_at": 0.15}
+    config = overlaid(CONFIG, "physics").updated({**ahead, "qp.solver": "daqp"})
+    trace = simulate(make_controller(config, MODEL), make_plant("physics", config, MODEL))
+    assert trace.finished, trace.notes
+    stopped = [k for k, phase in enumerate(trace.phases) if "obstacle" in phase.decision]
+    assert stopped
+    for k in stopped:
+        now, after = trace.phases[k], trace.phases[k + 1]
+        assert now.name == after.name
+        landed = DQ(after.swing_target).translation() - DQ(now.swing_target).translation()
+        assert landed[0] < -0.005
+
+
 def test_one_step_in_physics_stays_balanced() -> None:
     trace, plant = walked("physics", gait__steps=1)
     assert trace.finished, trace.notes

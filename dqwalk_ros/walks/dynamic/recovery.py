@@ -103,6 +103,7 @@ class RecoveringWalk(StandingWalk):
 
     def use(self, drive: Drive) -> None:
         """Use a model of the servos also for the steps."""
+        super().use(drive)
         self._in_time = drive.delay <= _LATEST
         self.steps.use(drive)
 
@@ -113,9 +114,9 @@ class RecoveringWalk(StandingWalk):
 
     def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
         """Let the steps take over from a single support in which xi is beyond the sole."""
-        super().observe(phase, kin, state)
-        if state.up is None or not self._in_time or phase.kind is not PhaseKind.SINGLE_SUPPORT:
-            return None
+        change = super().observe(phase, kin, state)
+        if change or state.up is None or not self._in_time or phase.kind is not PhaseKind.SINGLE_SUPPORT:
+            return change
         beyond = self._beyond_sole(kin, state)
         self._beyond = self._beyond + 1 if beyond > 0.0 else 0
         if self._beyond < _CONFIRMED:

@@ -84,6 +84,16 @@ class Swing:
         """The first three arguments of `advanced`."""
         return self._state, self.goal, self._path
 
+    @property
+    def along(self) -> tuple[Array, Array]:
+        """Place [m] and velocity [m/s] of the path along the ground at the last time, (2,) each."""
+        return self._state[2:4], self._state[4:]
+
+    def stop(self, place: Array) -> None:
+        """Let the foot land at a place (2,) [m], at which it is now."""
+        self.goal = place
+        self._state[2:4], self._state[4:] = place, 0.0
+
     def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
         """Advance to a time and return the motion there.
 

@@ -57,6 +57,10 @@ _TIP_TOLERANCE_PER_DELAY = math.radians(60.0)
 """A sole counts as tipping from this inclination on, times (delay - one period) [rad/s]."""
 _TIPPED = math.radians(1.0)
 """Inclination against the ground above which a sole has been tipped, by a push or a stone, and not by noise [rad]."""
+_STOPPED = 0.1
+"""Part of the sole's length from which on a foot behind its path is stopped by an obstacle."""
+_ON_THE_SPOT = 4
+"""Number of steps on the spot after an obstacle has stopped a foot, before the walk tries again."""
 _OUTWARDS = 3.0
 """Error away from the swing foot above which a push tips the sole, as a multiple of the error that adjusts a step."""
 _RESIDUAL = 0.002
@@ -119,6 +123,7 @@ class DynamicWalk(SteppingWalk):
                 "standing.swing_duration"
             )
         self._step_now = np.zeros(3)  # length, side and turn of the current step
+        self._resumes = 0  # step before which it steps on the spot
         self._mass = model.mass
         self._assume(Drive.of(config, model))
         self._known: Phase | None = None
@@ -230,16 +235,17 @@ class DynamicWalk(SteppingWalk):
         if ahead < len(self._planned):
             return self.footsteps.step_to(support, self._planned[ahead]), ahead + 1 == len(self._planned)
         gait, ramp = self.config.gait, self.config.dynamic.ramp
-        stopping = self._stopping or self._pausing
+        stopping, on_the_spot = self._stopping or self._pausing, done < self._resumes
         if gait.steps:
             ramp = min(ramp, (gait.steps - 1) // 2)
             full = np.array([gait.step_length, gait.step_side, gait.step_turn])
             most, ended = np.abs(full), stopping or done >= gait.steps
-            wanted = np.zeros(3) if ended or done >= gait.steps - ramp else full
+            wanted = np.zeros(3) if on_the_spot or ended or done >= gait.steps - ramp else full
         else:
             most = np.array([gait.most_length, gait.most_side, gait.most_turn])
             wanted = np.zeros(3) if stopping else np.array(self._step_at(self._twist))
             ended = not wanted.any()
+            wanted = np.zeros(3) if on_the_spot else wanted
         change = most / (ramp + 1)
         new = step + np.clip(wanted - step, -change, change)
         return new, bool(ended and np.abs(new).max() < 1e-9)
@@ -363,6 +369,9 @@ class DynamicWalk(SteppingWalk):
         flight, change = self._flight, None
         if flight is not None:
             change = self._adjust_step(flight, phase, c, t)
+            if stopped := self._stopped(phase, kin, state, *flight.swing.along, self._advance, _STOPPED):
+                self._land_here(flight, phase, kin)
+                change = stopped
         elif isinstance(self._reference, Pressed):
             change = self._adjust_transfer(self._reference, phase, phase.rule, t)
         self._answer(phase, phase.rule, state, up, t)
@@ -461,6 +470,22 @@ class DynamicWalk(SteppingWalk):
         return Change(
             f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
         )
+
+    def _land_here(self, flight: _Flight, phase: Phase, kin: Kinematics) -> None:
+        """Let the swing foot land where it is, and step on the spot for a while; drop commanded footsteps."""
+        here = kin.point(kin.swing)[:2]
+        assert phase.swing_target is not None
+        assert isinstance(self._reference, Pressed)
+        missed = here - DQ(phase.swing_target).translation()[:2]
+        target = (DQ.from_pose([*missed, 0.0]) * DQ(phase.swing_target)).vec8()
+        self._planned.clear()
+        self._step_now, self._resumes = np.zeros(3), self._done + _ON_THE_SPOT
+        _, ((_, end), *_) = self._plan(phase.support, Footprint(), target)
+        landing = self._aim(phase.base.other, Footprint.of(target))
+        flight.step = replace(flight.step, landing=landing, offset=end - landing, reach=np.zeros(2))
+        self._reference = replace(self._reference, end=end)
+        flight.swing.stop(here)
+        flight.goal, flight.shift = here, np.zeros(2)
 
     @staticmethod
     def _landing(flight: _Flight, phase: Phase) -> Change:

@@ -18,10 +18,11 @@ from dqwalk_ros.paper.features import Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, Plane, Z
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
+from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.walk import pelvis_height
 from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PhaseError
 from dqwalk_ros.walks.following import ComPath, SwingPath
@@ -32,6 +33,10 @@ from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 __all__ = ["StandingWalk"]
 
 
+_STOPPED = 0.05
+"""Part of the sole's length from which on a foot behind its path is stopped by an obstacle; the swing is slow."""
+
+
 class StandingWalk(SteppingWalk):
     """Alternating double and single supports; at the end the feet are put together and the CoM between them."""
 
@@ -39,6 +44,7 @@ class StandingWalk(SteppingWalk):
         super().__init__(config, model)
         self._requested = config  # from the next phase on
         self._balance: Balance | None = None
+        self._drive = Drive.of(config, model)
 
     @staticmethod
     def phases(config: Config) -> int:
@@ -64,7 +70,9 @@ class StandingWalk(SteppingWalk):
             over = not self._planned and (steps or self._stopping)
             return None if over else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
-            return Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
+            after = Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
+            in_the_air = isinstance(phase.rule, PathEnd) and phase.rule.stopped
+            return self._on_its_feet(kin) or after if in_the_air else after
         if self._planned:
             target = self._next_footprint(kin)
             self._together = not self._planned
@@ -74,6 +82,22 @@ class StandingWalk(SteppingWalk):
             target = self.footsteps.beside(phase.support) if step is None else self.footsteps.step(phase.support, *step)
             self._done += 1
         return Next(PhaseKind.SINGLE_SUPPORT, phase.support, target)
+
+    def use(self, drive: Drive) -> None:
+        """Use a model of the servos: a foot is behind its path by their delay."""
+        self._drive = drive
+
+    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+        """End a swing that an obstacle stops; the next phase puts the foot down where it is."""
+        change = super().observe(phase, kin, state)
+        swing, rule = phase.tasks[0], phase.rule
+        if isinstance(swing, SwingPath) and isinstance(rule, PathEnd):
+            rule.stopped = bool(phase.decision)
+            stopped = self._stopped(phase, kin, state, *swing.at(state.elapsed), self._drive.delay, _STOPPED)
+            if stopped and not rule.stopped:
+                self._planned.clear()
+                return stopped
+        return change
 
     def restarts(self, phase: Phase) -> float | None:
         """Return ``standing.transfer_duration`` in double support, None in single support.
@@ -176,7 +200,7 @@ class PathEnd:
 
     def __init__(self, config: Config, kind: PhaseKind, name: str, waits: Callable[[], bool] = lambda: False) -> None:
         s, swing = config.standing, kind is PhaseKind.SINGLE_SUPPORT
-        self._name, self._waits = name, waits
+        self._name, self._waits, self.stopped = name, waits, False
         self._duration = s.swing_duration if swing else s.transfer_duration
         self._goal = s.swing_threshold if swing else s.com_threshold
         self._timeout = config.gait.phase_timeout
@@ -184,8 +208,8 @@ class PathEnd:
 
     def is_over(self, error: Callable[[], float], elapsed: float) -> bool:
         """Return whether the phase ends at the state with this error; see `phase.Rule.is_over`."""
-        if self._waits() or elapsed < min(self._duration - 1e-9, self._timeout):
-            return False
+        if self.stopped or self._waits() or elapsed < min(self._duration - 1e-9, self._timeout):
+            return self.stopped
         now, over = error(), elapsed >= self._duration - 1e-9
         if over and now < self._goal:
             return True
