@@ -36,8 +36,8 @@ JOINT_RETURN = 0.5
 """Largest speed at which a joint beyond its limit is required to return [rad/s]."""
 _STOPPED = 2.0
 """Part of its sole's length by which a foot may be further behind its path, per second of the servos' delay [1/s]."""
-_CATCHES_UP = 0.1
-"""Time in which a foot that is not stopped catches up with the present place of its path [s]."""
+_AT_REST = 0.1
+"""Time in which a foot that is stopped does not even move by as much as it is behind its path [s]."""
 _LIFTED = 0.004
 """Height of a sole above the plane of the other one from which on it is in the air [m]."""
 
@@ -239,16 +239,18 @@ class SteppingWalk(Walk):
         """Return the change if an obstacle stops the swing foot; it must not be pushed on, or the robot falls.
 
         `place` (>= 2,) [m] and `velocity` (>= 2,) [m/s] are those of its path, which it follows with the `delay` [s] of
-        the servos. It is stopped if it is behind by the fraction `least` of the length of its sole, without a delay,
-        and does not catch up.
+        the servos. It is stopped if it is in the air, at rest, and behind by the fraction `least` of the length of its
+        sole, without a delay.
         """
-        here, length = kin.point(kin.swing)[:2], self.model.soles[phase.base.other].length
-        way = place[:2] - delay * velocity[:2] - here
-        behind = math.hypot(*way.tolist())
-        if phase.swing_target is None or behind < (least + _STOPPED * delay) * length:
+        (x, y, z), length = kin.point(kin.swing).tolist(), self.model.soles[phase.base.other].length
+        here = np.array([x, y])
+        behind = math.hypot(*(place[:2] - delay * velocity[:2] - here).tolist())
+        if phase.swing_target is None or z < _LIFTED or behind < (least + _STOPPED * delay) * length:
             return None
-        if state.dq is not None and way @ (kin.point_jacobian(kin.swing)[:2] @ state.dq) * _CATCHES_UP > behind**2:
-            return None
+        if state.dq is not None:
+            moves = math.hypot(*(kin.point_jacobian(kin.swing)[:2] @ state.dq).tolist())
+            if moves > behind / _AT_REST:
+                return None
         missed = math.hypot(*(DQ(phase.swing_target).translation()[:2] - here).tolist())
         return Change(f"an obstacle stops the foot {1e3 * missed:.0f} mm from its target")
 
