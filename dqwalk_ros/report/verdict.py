@@ -229,7 +229,8 @@ def _of_an_ending(series: Series, span: Span, ending: Ending) -> Iterator[Violat
         physics = not paper and series.ground is not None
         allowed = LANDING * float(series.com[0, 2]) if physics else LANDING_TOLERANCE * threshold
         if miss > allowed:
-            text = f"landed {1e3 * miss:.2f} mm from its target, {1e3 * allowed:.2f} mm are allowed"
+            why = f": {span.record.decision}" if span.record.decision else ""
+            text = f"landed {1e3 * miss:.2f} mm from its target, {1e3 * allowed:.2f} mm are allowed{why}"
             yield _broken(series, "landing", last, miss, allowed, text, name)
 
 

@@ -529,7 +529,7 @@ def test_a_push_that_tips_the_sole_outwards_is_caught(length: float, impulse: fl
         {"gait.steps": 0, "gait.footsteps": ["0.05 0 0 0"] * 10},
     ],
 )
-def test_a_foot_that_an_obstacle_stops_lands_there(changes: dict[str, object]) -> None:
+def test_a_foot_that_an_obstacle_stops_lands_there(changes: dict[str, object], tmp_path: Path) -> None:
     """Pushed on it makes the robot fall. Afterwards there are steps on the spot, and no commanded footsteps."""
     ahead = {"gait.steps": 10, "physics.rise": 0.05, "physics.stairs_at": 0.15}
     config = overlaid(CONFIG, "physics").updated({**ahead, "qp.solver": "daqp", **changes})
@@ -540,6 +540,9 @@ def test_a_foot_that_an_obstacle_stops_lands_there(changes: dict[str, object]) -
     assert stopped
     assert all(later - k > 6 for k, later in itertools.pairwise(stopped))
     assert len(trace.phases) == (stopped[0] + 4 if config.gait.footsteps else 24)
+    bag.write(trace, tmp_path / "bag")
+    missed = [found["message"] for found in report(analyse(bag.read(tmp_path / "bag")))["violations"]]
+    assert any(trace.phases[stopped[0]].decision in message for message in missed)
 
 
 @pytest.mark.long

@@ -49,7 +49,8 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
         If there is no phase, or the phases contradict each other or are those of another robot.
     """
     path, model, columns = bag.path, bag.model, bag.columns
-    labels = [label for label in zip(columns["phase"].times, texts(columns["phase"]), strict=True) if "/" in label[1]]
+    said = list(zip(columns["phase"].times, texts(columns["phase"]), strict=True))
+    labels = [label for label in said if "/" in label[1]]
     begun = joint_states(columns["phase_start"], model.joint_names)
     if not labels or not len(begun.stamps):
         raise BagError(f"'{path}' contains no phase of a walk")
@@ -67,10 +68,12 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
     }
     if not known:
         raise BagError(f"'{path}': every phase begins with impossible numbers")
+    decisions: dict[int, str] = {}
     swings, places = _targets(columns.get("swing_target")), _targets(columns.get("com_target"))
     # a name is published again after a pause, so it does not identify its start
     if len(labels) == len(known) == len(columns["phase_start"].raws) and None not in names:
         named = dict(zip(known, names, strict=True))
+        decisions = dict(zip(known, _decisions([words for _, words in said]), strict=True))
     else:
         timed = [(time, name) for (time, _), name in zip(labels, names, strict=True) if name is not None]
         named, rest = _by_time(timed, list(known))
@@ -92,7 +95,8 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
         if kind is PhaseKind.SINGLE_SUPPORT and not (target is not None and is_pose(target)):
             bag.notes.append(f"the swing target of {name} at {time:.3f} s is missing: its states are left out")
             target = np.full(8, np.nan)
-        found[stamp] = PhaseRecord(name, kind, support, base, 0, time, q, target, DQ(1.0).vec8())
+        why = decisions.get(stamp, "")
+        found[stamp] = PhaseRecord(name, kind, support, base, 0, time, q, target, DQ(1.0).vec8(), decision=why)
     return found
 
 
@@ -130,6 +134,17 @@ def is_last(bag: Recording, begun: Mapping[int, PhaseRecord], stamp: int, q: Arr
 def _config_at(bag: Recording, stamp: int) -> Config | None:
     """Return the changed configuration that applied from a stamp [ns] or before; None for that of the whole walk."""
     return bag.tuned.get(max((since for since in bag.tuned if since <= stamp), default=-1))
+
+
+def _decisions(said: Sequence[str]) -> list[str]:
+    """Return the last decision in each phase, the sentence after its name; empty if there is none."""
+    found: list[str] = []
+    for words in said:
+        if "/" in words:
+            found.append("")
+        elif found and " " in words:
+            found[-1] = words
+    return found
 
 
 def _parsed(name: str) -> _Name | None:
