@@ -15,7 +15,7 @@ from dqwalk_ros.paper.constraints import FrameHeld, PointsOverPlane
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Plane, Y
-from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.kinematics import Kinematics, point_at
 from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
 from dqwalk_ros.paper.qp.problem import Problem, Solution
 from dqwalk_ros.paper.state import State
@@ -24,6 +24,7 @@ from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.walks.arms import Arms
 from dqwalk_ros.walks.footprint import flat
@@ -242,16 +243,16 @@ class SteppingWalk(Walk):
         the servos. It is stopped if it is in the air, at rest, and behind by the fraction `least` of the length of its
         sole, without a delay.
         """
-        (x, y, z), length = kin.point(kin.swing).tolist(), self.model.soles[phase.base.other].length
-        here = np.array([x, y])
-        behind = math.hypot(*(place[:2] - delay * velocity[:2] - here).tolist())
+        body, pose, _ = kin.tree.frames[kin.swing]
+        behind, z = _behind(kin.poses, body, pose, place, velocity, delay)
+        length = self.model.soles[phase.base.other].length
         if phase.swing_target is None or z < _LIFTED or behind < (least + _STOPPED * delay) * length:
             return None
         if state.dq is not None:
             moves = math.hypot(*(kin.point_jacobian(kin.swing)[:2] @ state.dq).tolist())
             if moves > behind / _AT_REST:
                 return None
-        missed = math.hypot(*(DQ(phase.swing_target).translation()[:2] - here).tolist())
+        missed = math.hypot(*(DQ(phase.swing_target).translation() - kin.point(kin.swing))[:2].tolist())
         return Change(f"an obstacle stops the foot {1e3 * missed:.0f} mm from its target")
 
     def _held(self, kin: Kinematics) -> FrameHeld:
@@ -276,3 +277,14 @@ class SteppingWalk(Walk):
             name="sole_gap", eta=s.eta_edges, bound=s.sole_gap, return_speed=s.recovery, frame=swing.frame,
             points=swing.corners, plane=inner,
         )  # fmt: skip
+
+
+@jit
+def _behind(poses: Array, body: int, pose: Array, place: Array, velocity: Array, delay: float) -> tuple[float, float]:
+    """Return how far a sole is along the ground from its path `delay` [s] ago, and its height [m].
+
+    `pose` (8,) is that of the sole in its body, of which `poses` has those of all; `place` and `velocity` are of now.
+    """
+    p = point_at(poses, body, pose, np.zeros(3))
+    x, y = place[0] - delay * velocity[0] - p[0], place[1] - delay * velocity[1] - p[1]
+    return math.sqrt(x * x + y * y), p[2]
