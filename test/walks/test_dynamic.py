@@ -521,6 +521,32 @@ def test_a_push_that_tips_the_sole_outwards_is_caught(length: float, impulse: fl
 
 
 @pytest.mark.parametrize(
+    ("bent", "behind", "moves", "delay", "stopped"),
+    [
+        (0.3, 0.02, 0.0, 0.0, True),
+        (0.3, 0.012, 0.0, 0.0, False),  # the legs follow their path less well
+        (0.3, 0.02, 3.0, 0.0, False),  # it catches up, or is moved by a support that tips
+        (0.0, 0.02, 0.0, 0.0, False),  # it stands
+        (0.3, 0.02, 0.0, 0.04, False),
+        (0.3, 0.03, 0.0, 0.04, True),
+    ],
+)
+def test_a_foot_is_stopped_in_the_air_at_rest_behind_its_path(
+    bent: float, behind: float, moves: float, delay: float, stopped: bool
+) -> None:
+    walk = prepared(CONFIG)
+    q, dq = walk.posture.copy(), np.zeros(MODEL.n)
+    q[MODEL.joint_names.index("r_knee_y")] += bent
+    dq[MODEL.joint_names.index("r_knee_y")] = moves
+    kin = Kinematics(MODEL, q, Foot.LEFT)
+    phase = walk.one_foot(Foot.LEFT, kin, kin.pose(kin.swing))
+    velocity = np.array([0.2, 0.0])
+    place = kin.point(kin.swing)[:2] + np.array([behind, 0.0]) + delay * velocity
+    found = walk._stopped(phase, kin, State(1.0, q, dq), place, velocity, delay, 0.1)
+    assert (found is not None) is stopped
+
+
+@pytest.mark.parametrize(
     "changes",
     [
         {},
