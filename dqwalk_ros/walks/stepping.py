@@ -35,7 +35,7 @@ __all__ = ["JOINT_RETURN", "SteppingWalk"]
 
 JOINT_RETURN = 0.5
 """Largest speed at which a joint beyond its limit is required to return [rad/s]."""
-_STOPPED = 2.0
+_LAGS = 2.0
 """Part of its sole's length by which a foot may be further behind its path, per second of the servos' delay [1/s]."""
 _AT_REST = 0.1
 """Time in which a foot that is stopped does not even move by as much as it is behind its path [s]."""
@@ -246,7 +246,7 @@ class SteppingWalk(Walk):
         body, pose, _ = kin.tree.frames[kin.swing]
         behind, z = _behind(kin.poses, body, pose, place, velocity, delay)
         length = self.model.soles[phase.base.other].length
-        if phase.swing_target is None or z < _LIFTED or behind < (least + _STOPPED * delay) * length:
+        if phase.swing_target is None or z < _LIFTED or behind < (least + _LAGS * delay) * length:
             return None
         if state.dq is not None:
             moves = math.hypot(*(kin.point_jacobian(kin.swing)[:2] @ state.dq).tolist())

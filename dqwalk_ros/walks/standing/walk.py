@@ -92,7 +92,7 @@ class StandingWalk(SteppingWalk):
         change = super().observe(phase, kin, state)
         swing, rule = phase.tasks[0], phase.rule
         if isinstance(swing, SwingPath) and isinstance(rule, PathEnd):
-            rule.stopped = bool(phase.decision)
+            rule.stopped = bool(phase.decision)  # at the next state, so that the decision is seen
             stopped = self._stopped(phase, kin, state, *swing.at(state.elapsed), self._drive.delay, _STOPPED)
             if stopped and not rule.stopped:
                 self._planned.clear()
