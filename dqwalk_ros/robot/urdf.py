@@ -92,6 +92,8 @@ class Urdf:
         self.name = root.get("name") or pathlib.Path(source).stem
         root.set("name", self.name)
         for element in root.iter():
+            if getattr(element, "commas", False):
+                self.repairs.append(f"{place(element)} has commas between its numbers: left out")
             if (length := float(element.get("length", 0.0))) < 0.0:
                 self.repairs.append(f"{place(element)} has the negative length {length:g}: taken as positive")
                 element.set("length", repr(-length))

@@ -28,6 +28,8 @@ _LONGEST_PREFACE = 4096
 LARGEST = 1e6
 """Largest length [m], mass [kg] and inertia [kg m^2] accepted; a larger joint limit counts as unlimited."""
 _MOST_ERRORS = 8
+_COMMAS = re.compile(r"[^\s,]+(\s*,\s*[^\s,]+)+,?")
+"""Numbers with a comma between each two; other commas may be those of decimals."""
 _EAST_ASIAN = ("gb2312", "gbk", "gb18030", "big5", "shift_jis", "euc-jp", "euc-kr")
 """Encodings of text that the XML parser does not know."""
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
@@ -62,9 +64,10 @@ _NUMBERS: dict[str, dict[str, tuple[int, str | None]]] = {
 
 
 class _Element(ElementTree.Element):
-    """An XML element with the number of its line."""
+    """An XML element with the number of its line, and whether commas between numbers were left out."""
 
     line = 0
+    commas = False
 
 
 def elements(data: bytes | str, source: str) -> ElementTree.Element:
@@ -223,6 +226,10 @@ def _wrong_numbers(element: ElementTree.Element) -> Iterator[str]:
             del element.attrib[key]
             continue
         words = text.split() if count > 1 else [text]
+        if count > 1 and _COMMAS.fullmatch(text):
+            words = text.replace(",", " ").split()
+            element.set(key, " ".join(words))
+            element.commas = True  # type: ignore[attr-defined]
         if len(words) != count and (element.tag, len(words)) != ("mesh", 1):
             yield f'{where} must have {count} numbers in {key}="...", got {text[:80]!r}'
         for word in words:

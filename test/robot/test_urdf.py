@@ -78,6 +78,8 @@ BAD = {
     "macro": (robot(A, B, joint(more='<limit lower="${-pi}" upper="1"/>')), "has lower = '\\$\\{-pi\\}'"),
     "no axis": (robot(A, B, joint(more='<axis xyz="0 0 0"/><limit upper="1"/>')), "axis without direction"),
     "flat axis": (robot(A, B, joint(more='<axis xyz="0 1"/><limit upper="1"/>')), "must have 3 numbers in xyz"),
+    "decimal commas": (robot(A, B, joint(more='<origin xyz="0,5 0,1 2"/>')), "has xyz = '0,5', which is no number"),
+    "two decimal commas": (robot(A, B, joint(more='<origin xyz="0,5 1"/>')), "must have 3 numbers in xyz"),
     "nan origin": (robot(A, B, joint(more='<origin xyz="0 nan 0"/>')), "<origin> has xyz = 'nan'"),
     "far origin": (robot(A, B, joint(more='<origin xyz="0 1e9 0"/>')), "'1e9'"),
     "negative mass": (robot(link("a", '<mass value="-1"/>')), "line 2: <link> 'a' has a negative mass"),
@@ -129,6 +131,7 @@ REPAIRED = {
         "",
     ),
     "long axis": (robot(A, B, joint(more='<axis xyz="0 0 2"/><limit upper="1"/>')), "axis of length 2: made a unit"),
+    "commas": (robot(A, B, joint(more='<axis xyz="0, 0,1"/><limit upper="1"/>')), "line 4: <axis> has commas between"),
     "floating": (robot(A, B, joint(kind="floating")), "is floating: taken as fixed"),
     "no mass": (robot(link("a", '<mass value="0"/>')), "line 2: <link> 'a' has the mass 0 kg: taken as a frame"),
     "no inertia": (
