@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from dqwalk_ros.adopt.legs import leg_of
 from dqwalk_ros.adopt.skeleton import Skeleton
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -135,8 +136,7 @@ def _mirrored(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], found: dict
     """Return whether two soles mirror each other in the plane between the legs."""
     left, right = (found[foot] for foot in Foot)
     p, q = (sole.placed(skeleton).translation() for sole in (left, right))
-    pairs = zip(legs[Foot.LEFT], legs[Foot.RIGHT], strict=True)
-    twice = float(np.median([skeleton.place(a)[1] + skeleton.place(b)[1] for a, b in pairs]))  # 2 y of the plane
+    twice = sum(float(leg.hip[1]) for joints in legs.values() if (leg := leg_of(*skeleton.lines(joints))))  # 2 y
     place = p - [q[0], twice - q[1], q[2]]
     return bool(max(abs(left.length - right.length), abs(left.width - right.width), *np.abs(place)) < _MIRRORED)
 

@@ -134,12 +134,14 @@ def test_legs_are_alike_as_mirror_images_and_as_copies() -> None:
     np.testing.assert_allclose(off, [0, 0, 0.03, 0], atol=1e-9)
 
 
-@pytest.mark.parametrize("joint", ["r_hip_yaw", "r_knee"])
-def test_the_origin_of_a_joint_along_its_axis_is_arbitrary(joint: str) -> None:
+@pytest.mark.parametrize("joints", ["r_hip_yaw", "r_knee", "r_hip_pitch r_knee r_ankle_pitch"])
+def test_the_origin_of_a_joint_along_its_axis_is_arbitrary(joints: str) -> None:
     urdf, plain = Urdf.load(SMALL), anatomy_of(Urdf.load(SMALL))
-    moved(urdf, urdf.joints[joint].child, at(0.027 * urdf.joints[joint].axis))
+    for joint in joints.split():
+        moved(urdf, urdf.joints[joint].child, at(0.027 * urdf.joints[joint].axis))
     found = anatomy_of(urdf)
     assert found.legs == plain.legs
+    assert found.soles[Foot.RIGHT].source == plain.soles[Foot.RIGHT].source
     assert (found.leg, found.apart) == pytest.approx((plain.leg, plain.apart), abs=1e-6)
 
 
