@@ -19,6 +19,7 @@ import numpy as np
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.doubts import (
+    assume_masses,
     check_names,
     list_massless,
     repair_degrees,
@@ -195,13 +196,14 @@ def _adopted(
     check_names(urdf)
     repair_degrees(urdf)
     use_led_joints(urdf)
+    assume_masses(urdf, shapes)
     anatomy = find_anatomy(urdf, shapes, **sides)
     list_massless(urdf)
     repair_inertias(urdf, shapes, anatomy.leg)
     anatomy = replace(anatomy, pelvis=_add_frames(urdf, anatomy))
     soles = _add_soles(urdf, anatomy)
     shapes.name_files()
-    robot = _robot(folder, urdf, anatomy, soles)
+    robot = _robot(folder, urdf, anatomy, soles, changes)
     text = urdf.text()
     progress(0.3, "finding its postures")
     numbers = _numbers(parse_model(text, robot), anatomy)
@@ -238,13 +240,21 @@ def _adopted(
     return found
 
 
-def _robot(folder: pathlib.Path, urdf: Urdf, anatomy: Anatomy, soles: Mapping[Foot, str]) -> RobotConfig:
-    """Return the section ``robot`` of a description with the frames `soles`."""
+def _robot(
+    folder: pathlib.Path, urdf: Urdf, anatomy: Anatomy, soles: Mapping[Foot, str], changes: Mapping[str, Any]
+) -> RobotConfig:
+    """Return the section ``robot`` of a description with the frames `soles`, and with those of `changes` in it.
+
+    Raises
+    ------
+    ConfigError
+        If one of these is invalid.
+    """
     sole = anatomy.soles[Foot.LEFT]
     free = {joint for leg in anatomy.legs.values() for joint in leg}
     if not anatomy.sideways:
         free |= set(anatomy.waist)  # where the pelvis cannot move sideways, the trunk moves the CoM over a sole
-    return RobotConfig(
+    found = RobotConfig(
         urdf=str(folder / "robot.urdf"),
         pelvis=anatomy.pelvis,
         left_sole=soles[Foot.LEFT],
@@ -254,6 +264,8 @@ def _robot(folder: pathlib.Path, urdf: Urdf, anatomy: Anatomy, soles: Mapping[Fo
         sole_length=float(f"{sole.length:.4g}"),
         sole_width=float(f"{sole.width:.4g}"),
     )
+    given = {key: value for key, value in changes.items() if key.startswith("robot.")}
+    return replace(Config(), robot=found).updated(given).robot
 
 
 def _strengthen(urdf: Urdf, weak: Mapping[str, float]) -> None:

@@ -17,6 +17,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
 __all__ = [
+    "assume_masses",
     "check_density",
     "check_names",
     "check_sizes",
@@ -47,6 +48,8 @@ _GUESSED = 0.3
 """Radius of gyration assumed for a link with shapes, as a multiple of this distance."""
 _SMALLEST = 0.01
 """Least distance of the farthest corner of a link from its CoM [m]."""
+_DENSITY = 500.0
+"""Mass of a robot divided by the volume of the convex hulls of its links [kg/m^3]; 350 to 900 are usual."""
 
 
 def check_names(urdf: Urdf) -> None:
@@ -120,6 +123,28 @@ def check_density(urdf: Urdf, leg: float) -> None:
         f"the links of '{urdf.name}' weigh {mass:.4g} kg together, with legs of {leg:.4g} m: "
         f"are {' and '.join(doubts)}?"
     )
+
+
+def assume_masses(urdf: Urdf, shapes: Shapes) -> None:
+    """Assume masses of the usual density within the convex hulls of the links if no link has a mass."""
+    import trimesh
+
+    if any(link.inertial.mass for link in urdf.links.values()):
+        return
+    for name, link in urdf.links.items():
+        for corners in shapes.hulls([name])[0].values():
+            try:
+                solid = trimesh.convex.convex_hull(corners).mass_properties
+            except Exception:  # a shape without volume; Qhull has its own exceptions
+                continue
+            part = link.inertial
+            part.mass, part.inertia = _DENSITY * float(solid.volume), _DENSITY * np.asarray(solid.inertia)
+            part.origin[:3, 3] = solid.center_mass
+    if mass := sum(link.inertial.mass for link in urdf.links.values()):
+        urdf.repairs.append(
+            f"no link has a mass: {_DENSITY:g} kg/m^3 within the convex hulls of their shapes are assumed, {mass:.3g} kg "
+            "in all; weigh the robot and give --set robot.mass=KG"
+        )
 
 
 def list_massless(urdf: Urdf) -> None:

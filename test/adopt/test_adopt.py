@@ -176,7 +176,6 @@ REFUSED = {
     "one leg": ((r'name="r_knee" type="revolute"', 'name="r_knee" type="fixed"'), "mirror each other"),
     "truncated": ((r"</robot>", ""), "not XML"),
     "grams": ((r'(mass value="[^"]*)', r"\1e3"), "'small_humanoid' weigh 4059 kg"),
-    "no masses": ((r"<inertial>.*?</inertial>", ""), "'small_humanoid' has no mass"),
     "missing meshes": (
         (r"<(box|cylinder|sphere) [^>]*/>", '<mesh filename="package://no/a.stl"/>'),
         "--package-path",

@@ -628,6 +628,19 @@ def test_bodies_with_shapes_and_without_mass_are_listed() -> None:
     assert "'l_foot' have shapes and no mass" in urdf.repairs[0]
 
 
+def test_a_robot_without_masses_has_those_of_the_volumes_of_its_links_and_can_be_weighed(tmp_path: Path) -> None:
+    bare = edited(tmp_path, SMALL, (r"<inertial>.*?</inertial>", ""))
+    found = adopt(bare, tmp_path / "out")
+    (repair,) = [text for text in found.repairs if "no link has a mass" in text]
+    assert f"{found.model.mass:.3g} kg in all; weigh the robot and give --set robot.mass=KG" in repair
+    foot = Urdf.load(found.folder / "robot.urdf").links["l_ankle_link"].inertial
+    assert foot.mass == pytest.approx(500.0 * 0.033 * 0.033 * 0.022)
+    np.testing.assert_allclose(np.diag(foot.inertia)[2], foot.mass / 12.0 * 2.0 * 0.033**2)
+    weighed = adopt(bare, tmp_path / "weighed", changes={"robot.mass": 2.0 * found.model.mass})
+    assert weighed.numbers.mgh == pytest.approx(2.0 * found.numbers.mgh)
+    assert weighed.model.mass == pytest.approx(2.0 * found.model.mass)
+
+
 @pytest.mark.parametrize("part", [0.03, 0.2])
 def test_a_foot_that_weighs_a_fifth_of_the_robot_is_doubted(part: float) -> None:
     urdf = Urdf.load(SMALL)
