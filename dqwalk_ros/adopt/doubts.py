@@ -142,8 +142,8 @@ def assume_masses(urdf: Urdf, shapes: Shapes) -> None:
             part.origin[:3, 3] = solid.center_mass
     if mass := sum(link.inertial.mass for link in urdf.links.values()):
         urdf.repairs.append(
-            f"no link has a mass: {_DENSITY:g} kg/m^3 within the convex hulls of their shapes are assumed, {mass:.3g} kg "
-            "in all; weigh the robot and give --set robot.mass=KG"
+            f"no link has a mass: {_DENSITY:g} kg/m^3 within the convex hulls of their shapes are assumed, "
+            f"{mass:.3g} kg in all; weigh the robot and give --set robot.mass=KG"
         )
 
 
