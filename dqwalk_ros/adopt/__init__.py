@@ -168,7 +168,7 @@ def adopt(
     _check_places(path, folder, overwrite=overwrite)
     progress(0.0, "reading the robot")
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise ModelError(missing("robot", path))
+        raise ModelError(missing("robot file", path))
     urdf, drives = load_mjcf(path, package_paths) if is_mjcf(path) else (Urdf.load(path, package_paths, xacro), {})
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
     sides = {"left": left, "right": right, "forward": forward}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import (
+    Place,
     command,
     folder_option,
     force_option,
@@ -56,11 +57,11 @@ examples:
   dqwalk simulate --config adopted/dynamic.yaml --plant physics
   dqwalk reach --config adopted/whole_body.yaml --test 1
 """)
-@click.argument("urdf", metavar="FILE", type=click.Path(path_type=Path))
+@click.argument("urdf", metavar="FILE", type=Place())
 @folder_option("adopted")
 @force_option
 @click.option("--package-path", "places", metavar="DIR", multiple=True,
-              type=click.Path(exists=True, file_okay=False, path_type=Path),
+              type=Place(exists=True, file_okay=False),
               help="Also search for ROS packages here; may be repeated.")  # fmt: skip
 @click.option("--xacro", "arguments", metavar="NAME=VALUE", multiple=True,
               help="Argument of a xacro file; may be repeated.")  # fmt: skip

@@ -55,8 +55,9 @@ def config(
 
     if config is not None and section is not None:
         raise ConfigError("--section belongs to the list of all parameters; leave out CONFIG")
-    if config is None and params:
-        raise ConfigError("--params changes a configuration; name it, such as dqwalk config poppy --params arms")
+    for option, given in (("--params", params), ("--check", check), ("--capsules", capsules)):
+        if config is None and given:
+            raise ConfigError(f"{option} is about a configuration; name it, such as dqwalk config poppy {option}")
     if config is not None:
         made = config_of(config, changes, params=params)
         if capsules:
@@ -66,8 +67,7 @@ def config(
             return 0
         return _check(config, made)
     Config().updated(parse_overrides(changes), source="command line")
-    if not check:
-        print(_listing(section))
+    print(_listing(section))
     return 0
 
 

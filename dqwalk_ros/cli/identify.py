@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import Real, bag_argument, beside, command, force_option, quiet_option
+from dqwalk_ros.cli.options import Place, Real, bag_argument, beside, command, force_option, quiet_option
 from dqwalk_ros.support.output import refuse_existing, refuse_inside, write_text
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ then:
 @click.option(
     "--out",
     metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=Place(dir_okay=False),
     help="Parameter file for the result.  [default: identified.yaml beside BAG]",
 )
 @force_option

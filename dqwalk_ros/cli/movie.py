@@ -9,6 +9,7 @@ import click
 
 from dqwalk_ros.cli.options import (
     Numbers,
+    Place,
     Real,
     bag_argument,
     command,
@@ -34,7 +35,7 @@ examples:
 @click.option(
     "--out",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=Place(),
     default="walk.gif",
     help=".gif, .webp, or .png for a strip.",
 )

@@ -20,11 +20,10 @@ if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
 __all__ = [
-    "Many", "Numbers", "Output", "Real", "Report", "bag_argument", "beside", "command", "config_of", "config_option",
-    "folder_option", "force_option", "format_option", "jobs_option", "many_options", "namespace_option",
-    "output_options",
-    "params_option", "parse_overrides", "plant_option", "port_option", "quiet_option", "set_option", "walk_option",
-    "walk_options",
+    "Many", "Numbers", "Output", "Place", "Real", "Report", "bag_argument", "beside", "command", "config_of",
+    "config_option", "folder_option", "force_option", "format_option", "jobs_option", "many_options",
+    "namespace_option", "output_options", "params_option", "parse_overrides", "plant_option", "port_option",
+    "quiet_option", "set_option", "walk_option", "walk_options",
 ]  # fmt: skip
 
 Function = Callable[..., Any]
@@ -98,11 +97,11 @@ def plant_option(plants: Sequence[str], default: str) -> Option:
     return click.option("--plant", type=_PlantName(plants), default=default, help=f"{about}; MODULE:CLASS: your own.")
 
 
-class _Folder(click.Path):
-    """Type of an option whose value is a folder; an empty one, of an unset variable, is not the current folder."""
+class Place(click.Path):
+    """Type of an option whose value is a path; an empty one, of an unset variable, is not the current folder."""
 
-    def __init__(self) -> None:
-        super().__init__(path_type=Path)
+    def __init__(self, **options: bool) -> None:
+        super().__init__(path_type=Path, **options)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path."""
@@ -116,14 +115,14 @@ def folder_option(default: str | None, shown: str = "") -> Option:
     return click.option(
         "--out",
         metavar="DIR",
-        type=_Folder(),
+        type=Place(),
         default=default,
         show_default=shown or True,
         help="Folder of the results.",
     )
 
 
-bag_argument = click.argument("bag", type=click.Path(path_type=Path))
+bag_argument = click.argument("bag", type=Place())
 namespace_option = click.option(
     "--namespace", metavar="NAME", help="Namespace of the robot, if the bag contains several."
 )
@@ -151,7 +150,7 @@ params_option = click.option(
     "--params",
     metavar="FILE",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=Place(),
     help="Parameter file, such as that of `dqwalk identify`, or a name in config/overlays; may be repeated.",
 )
 force_option = click.option("--force", is_flag=True, help="Replace earlier results.")

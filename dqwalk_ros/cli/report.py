@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import (
+    Place,
     Report,
     bag_argument,
     beside,
@@ -47,7 +48,7 @@ examples:
 @click.option(
     "--compare",
     metavar="BAG",
-    type=click.Path(path_type=Path),
+    type=Place(),
     help="Another walk: write a page of both, side by side.",
 )
 @click.option("--csv", is_flag=True, help="Also write every series to series.csv, a line per state.")

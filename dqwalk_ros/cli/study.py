@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dqwalk_ros.cli.options import Many, command, format_option, many_options
+from dqwalk_ros.cli.options import Many, Place, command, format_option, many_options
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies import Study
@@ -41,7 +41,7 @@ examples:
   dqwalk study mine.yaml --dry-run                         check it, print the number of walks
   dqwalk study mine.yaml --scheduler tcp://127.0.0.1:8786
 """)
-@click.argument("path", metavar="STUDY.yaml", type=click.Path(path_type=Path))
+@click.argument("path", metavar="STUDY.yaml", type=Place())
 @many_options(None, shown="STUDY_study")
 @click.option("--dry-run", is_flag=True, help="Check the study and print the number of its walks.")
 @format_option

@@ -17,6 +17,8 @@ from dqwalk_ros.config.files import (
     SHIPPED,
     applies_from,
     find_config,
+    find_file,
+    find_params,
     find_share,
     from_yaml,
     is_foreign,
@@ -43,6 +45,7 @@ from dqwalk_ros.config.sections import (
 
 __all__ = [
     "OF_RCLPY", "SHIPPED", "Config", "DynamicConfig", "GaitConfig", "MonitorConfig", "PhysicsConfig", "PoppyConfig",
-    "RobotConfig", "SensorsConfig", "Spec", "Value", "WholeBodyConfig", "applies_from", "find_config", "find_share",
-    "from_yaml", "is_foreign", "load", "overlaid", "replaced", "resolved", "sections_of", "to_yaml", "with_files",
+    "RobotConfig", "SensorsConfig", "Spec", "Value", "WholeBodyConfig", "applies_from", "find_config", "find_file",
+    "find_params", "find_share", "from_yaml", "is_foreign", "load", "overlaid", "replaced", "resolved",
+    "sections_of", "to_yaml", "with_files",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ import os
 import pathlib
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +21,9 @@ from dqwalk_ros.support.errors import ConfigError, listed, missing
 from dqwalk_ros.support.node_table import NODES
 
 __all__ = [
-    "OF_RCLPY", "SHIPPED", "Section", "applies_from", "find_config", "find_share", "from_yaml", "is_foreign", "load",
-    "overlaid", "replaced", "resolved", "sections_of", "to_yaml", "with_files",
+    "OF_RCLPY", "SHIPPED", "Section", "applies_from", "find_config", "find_file", "find_params",
+    "find_share", "from_yaml", "is_foreign", "load", "overlaid", "replaced", "resolved", "sections_of", "to_yaml",
+    "with_files",
 ]  # fmt: skip
 
 _MOST = 2000
@@ -32,6 +33,8 @@ OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 SHIPPED = ("paper", "poppy", "poppy_dynamic", "poppy_dynamic_50hz", "whole_body")
 """Names of the configurations in ``config/``."""
+OVERLAYS = ("arms", "rough", "stairs", "stairs_down")
+"""Names of the parameter files in ``config/overlays/``."""
 
 
 def find_share(folder: str, name: str) -> pathlib.Path:
@@ -54,8 +57,18 @@ def find_share(folder: str, name: str) -> pathlib.Path:
     raise ConfigError(f"no file '{name}' in {folder}/ of this package; looked in {', '.join(map(str, roots))}")
 
 
-def find_config(source: str | os.PathLike[str]) -> pathlib.Path:
-    """Return the file of a configuration: a path, or the name of a shipped one (``"paper"``).
+def find_file(what: str, source: str | os.PathLike[str], folder: str, names: Sequence[str]) -> pathlib.Path:
+    """Return the path of a file of the user, or of a file of this package in `folder`, which is named without suffix.
+
+    Parameters
+    ----------
+    what : str
+        What it is, in messages.
+    source : path
+        A path, or one of `names`.
+    folder : str
+    names : sequence of str
+        Names of files in `folder`; those without suffix are YAML files.
 
     Raises
     ------
@@ -65,11 +78,35 @@ def find_config(source: str | os.PathLike[str]) -> pathlib.Path:
     path = pathlib.Path(source)
     if path.is_file():
         return path
-    if path.suffix or len(path.parts) > 1:
-        raise ConfigError(missing("configuration", path))
-    if str(path) not in SHIPPED:
-        raise ConfigError(f"no configuration '{path}': neither a file nor one of {', '.join(SHIPPED)}")
-    return find_share("config", f"{path}.yaml")
+    if str(source) in names and not os.path.lexists(path):
+        return find_share(folder, path.name if path.suffix else f"{path}.yaml")
+    if not str(source).strip():
+        raise ConfigError(f"the name of the {what} is empty")
+    if len(path.parts) > 1 or path.suffix or os.path.lexists(path):
+        raise ConfigError(missing(what, path))
+    raise ConfigError(f"no {what} '{path}': neither a file nor one of {', '.join(names)}")
+
+
+def find_params(source: str | os.PathLike[str]) -> pathlib.Path:
+    """Return a parameter file that changes a configuration: a path, or one of `OVERLAYS`.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither.
+    """
+    return find_file("parameter file", source, "config/overlays", OVERLAYS)
+
+
+def find_config(source: str | os.PathLike[str]) -> pathlib.Path:
+    """Return the file of a configuration: a path, or the name of a shipped one (``"paper"``).
+
+    Raises
+    ------
+    ConfigError
+        If it is neither.
+    """
+    return find_file("configuration", source, "config", SHIPPED)
 
 
 def load(source: str | os.PathLike[str]) -> Config:
@@ -203,7 +240,7 @@ def is_foreign(name: str) -> bool:
 def with_files(config: Config, files: Iterable[pathlib.Path]) -> Config:
     """Return a configuration with the parameters of files applied, one after the other.
 
-    A name without folder and suffix is that of a file in ``config/overlays/``, unless there is a file of this name.
+    They are found as by `find_params`.
 
     Raises
     ------
@@ -211,11 +248,7 @@ def with_files(config: Config, files: Iterable[pathlib.Path]) -> Config:
         If a file is missing or cannot be used.
     """
     for given in files:
-        path = given
-        if not path.is_file() and str(path) == path.stem:
-            path = find_share("config/overlays", f"{path}.yaml")
-        if not path.is_file():
-            raise ConfigError(missing("parameter", path))
+        path = find_params(given)
         config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)
     return config
 

@@ -70,9 +70,10 @@ class Spec:
         """Description of the values allowed, such as ``a number in [0, 1]``."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
-        if self.type is tuple:
-            return "a list of numbers" if get_args(get_args(self.hint)[0])[0] is float else "a list of texts"
-        kind = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[self.type]
+        if self.type is tuple and self.low is None:
+            return "a list of texts"
+        numbers = isinstance(self.default, tuple) and f"a list of {len(self.default)} numbers"
+        kind = numbers or {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[self.type]
         return kind if self.low is None else f"{kind} in [{self.low:g}, {self.high:g}]"
 
 
@@ -93,12 +94,21 @@ def _specs(section: Any, prefix: str) -> Iterator[Spec]:
         choices = get_args(hint) if get_origin(hint) is Literal else ()
         yield Spec(
             name=prefix + field.name,
-            hint=Annotated[hint, msgspec.Meta(ge=meta["low"], le=meta["high"])],
+            hint=_bounded(hint, meta["low"], meta["high"]),
             type=str if choices else get_origin(hint) or hint,
             default=getattr(section, field.name),
             choices=choices,
             **meta,
         )
+
+
+def _bounded(hint: Any, low: float | None, high: float | None) -> Any:
+    """Return a type annotation with bounds; those of a list are the bounds of each number in it."""
+    bounds = msgspec.Meta(ge=low, le=high)
+    if get_origin(hint) is tuple and low is not None:
+        parts: Any = tuple(Annotated[part, bounds] for part in get_args(hint))
+        return tuple.__class_getitem__(parts)
+    return Annotated[hint, bounds]
 
 
 def checked(specs: Mapping[str, Spec], name: str, value: Any) -> Value:

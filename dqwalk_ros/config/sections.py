@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import logging
 import operator
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -21,6 +21,9 @@ __all__ = [
 ]  # fmt: skip
 
 
+ZERO = (0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class RobotConfig:
     """The robot description and the links and joints of it that the walk uses."""
@@ -29,14 +32,12 @@ class RobotConfig:
     pelvis: str = parameter("pelvis", "link whose height above the support sole is bounded by (U11)")
     left_sole: str = parameter("l_sole", "link of the left sole, origin at its centre, x forward, z up")
     right_sole: str = parameter("r_sole", "link of the right sole, origin at its centre, x forward, z up")
-    left_sole_xyz: tuple[float, float, float] = parameter((0.0, 0.0, 0.0), "centre of the sole in left_sole", "m")
-    left_sole_rpy: tuple[float, float, float] = parameter((0.0, 0.0, 0.0), "roll, pitch, yaw of the sole in it", "rad")
-    right_sole_xyz: tuple[float, float, float] = parameter((0.0, 0.0, 0.0), "centre of the sole in right_sole", "m")
-    right_sole_rpy: tuple[float, float, float] = parameter((0.0, 0.0, 0.0), "roll, pitch, yaw of the sole in it", "rad")
+    left_sole_xyz: tuple[float, float, float] = parameter(ZERO, "centre of the sole in left_sole", "m", -10, 10)
+    left_sole_rpy: tuple[float, float, float] = parameter(ZERO, "roll, pitch, yaw of the sole in it", "rad", -6.3, 6.3)
+    right_sole_xyz: tuple[float, float, float] = parameter(ZERO, "centre of the sole in right_sole", "m", -10, 10)
+    right_sole_rpy: tuple[float, float, float] = parameter(ZERO, "roll, pitch, yaw of the sole in it", "rad", -6.3, 6.3)
     imu: str = parameter("", "link of the inertial sensor; empty: the pelvis")
-    imu_rpy: tuple[float, float, float] = parameter(
-        (0.0, 0.0, 0.0), "roll, pitch, yaw of the sensor in that link", "rad"
-    )
+    imu_rpy: tuple[float, float, float] = parameter(ZERO, "roll, pitch, yaw of the sensor in it", "rad", -6.3, 6.3)
     drop: tuple[str, ...] = parameter((), "joints removed together with all links after them; '*' matches any text")
     lock: tuple[str, ...] = parameter((), "joints fixed at zero, or at an angle: JOINT=RADIANS; '*' matches any text")
     mass: float = parameter(
@@ -679,7 +680,8 @@ class Config:
         if "physics.imu" in values:
             values = {"robot.imu" if name == "physics.imu" else name: value for name, value in values.items()}
             if values["robot.imu"] != "imu":  # the former default, which every older recording contains
-                warnings.warn(f"{source or 'a configuration'}: 'physics.imu' is now 'robot.imu'", stacklevel=2)
+                text = f"{source or 'a configuration'}: 'physics.imu' is now 'robot.imu'"
+                logging.getLogger("dqwalk_ros").warning(text)
         try:
             values = {name: checked(_specs(), name, value) for name, value in values.items()}
         except ConfigError as error:

@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dqwalk_ros.config import RobotConfig, find_share
+from dqwalk_ros.config import RobotConfig, find_file
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
@@ -279,15 +279,12 @@ def find_urdf(urdf: str) -> pathlib.Path:
     ModelError
         If there is no such file.
     """
-    path = pathlib.Path(urdf)
-    if path.is_file():
-        return path
-    if len(path.parts) > 1:
-        raise ModelError(f"no file '{path}'")
+    if "://" in urdf:
+        raise ModelError(f"robot.urdf is '{urdf:.200}'; it must be a path, such as one relative to the configuration")
     try:
-        return find_share("urdf", urdf)
+        return find_file("robot description", urdf, "urdf", ("poppy.urdf", "hrp2_like.urdf"))
     except ConfigError as error:
-        raise ModelError(str(error)) from error
+        raise ModelError(f"robot.urdf: {error}") from error
 
 
 def load_model(config: RobotConfig) -> RobotModel:

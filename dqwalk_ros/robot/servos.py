@@ -12,14 +12,13 @@ from __future__ import annotations
 import fnmatch
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.config import Config, find_share
+from dqwalk_ros.config import Config, find_file
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.arrays import Array
@@ -77,9 +76,7 @@ def load_types(source: str) -> dict[str, ServoType]:
     ConfigError
         If the file is missing or not a valid table; the message names the type.
     """
-    path = Path(source)
-    if not path.is_file():
-        path = find_share("config", f"{source}.yaml" if not path.suffix else source)
+    path = find_file("table of servos", source, "config", ("servos",))
     tree = strict_yaml.read(strict_yaml.read_text(path), source=str(path))
     try:
         return msgspec.convert(tree, dict[str, dict[str, ServoType]])["servos"]

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from dqwalk_ros import report
-from dqwalk_ros.config import Config, find_share, load, overlaid, with_files
+from dqwalk_ros.config import Config, find_file, load, overlaid, with_files
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -164,7 +164,7 @@ def read(path: str) -> dict[str, Row]:
     ConfigError
         If the file or one of the configurations is invalid.
     """
-    file = Path(path) if Path(path).is_file() else find_share("config", f"{path.removesuffix('.yaml')}.yaml")
+    file = find_file("file of rows", path, "config", ("evidence", "ground", "arms"))
     try:
         read = msgspec.convert(strict_yaml.read(strict_yaml.read_text(file), source=str(file)), _File)
     except msgspec.ValidationError as error:

@@ -15,7 +15,7 @@ import msgspec
 
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError, missing
 
 __all__ = ["MAX_WALKS", "Study", "digest", "is_own", "read"]
 
@@ -114,7 +114,7 @@ def read(path: str | pathlib.Path) -> Study:
     """
     source = pathlib.Path(path)
     if not source.is_file():
-        raise ConfigError(f"no study file '{path}'")
+        raise ConfigError(missing("study file", source))
     tree = strict_yaml.read(strict_yaml.read_text(source), source=str(path))
     if isinstance(tree, dict) and any(isinstance(part, dict) and "ros__parameters" in part for part in tree.values()):
         raise ConfigError(f"{path}: this is a configuration, not a study; `dqwalk study --help` shows a study")

@@ -60,10 +60,16 @@ def shown(name: str) -> str:
 
 
 def missing(what: str, path: Path) -> str:
-    """Return that a file is missing, or that it is a pipe, as of ``<(...)``, which cannot be read twice."""
-    if path.exists() and not path.is_dir():
+    """Return why there is no file at a path; a pipe, as of ``<(...)``, cannot be read twice."""
+    if path.is_dir():
+        return f"'{path}' is a folder; name the {what}"
+    if path.exists():
         return f"'{path}' is a pipe or a device: write its content into a file"
-    return f"no {what} file '{path}'"
+    if path.is_symlink():
+        return f"no {what} '{path}': it is a link that leads nowhere"
+    if str(path).startswith(("~", "$")):
+        return f"no {what} '{path}': no shell has replaced the '{str(path)[0]}'; write the whole path"
+    return f"no {what} '{path}'"
 
 
 def one_line(text: str) -> str:

@@ -19,6 +19,10 @@ MAX_BYTES = 1 << 20
 """Largest size of a file."""
 _MOST_NESTED = 50
 """Largest depth of nested lists and dictionaries; the parser itself would overflow the stack."""
+_BLANK = re.compile(r"[^\S \t\n\r]|[\u200b-\u200d\u2060\ufeff]")
+"""A character that looks like a space, or like nothing, and is part of the text beside it."""
+_NO_TEXT = re.compile("[\ud800-\udfff]")
+"""A byte that Python could not decode."""
 
 
 class _Loader(yaml.CSafeLoader):
@@ -85,6 +89,8 @@ def read(text: str, *, source: str = "text") -> Any:
     """
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{source}: longer than {MAX_BYTES >> 20} MiB")
+    if _NO_TEXT.search(text):  # bytes of a command line that are not of its encoding
+        raise ConfigError(f"{source}: it is not a text in UTF-8; is the locale of this terminal right (LANG)?")
     try:
         return copy.deepcopy(_parsed(text))
     except yaml.MarkedYAMLError as error:
@@ -107,7 +113,7 @@ def _parsed(text: str) -> Any:
 
 
 def _check_events(text: str) -> None:
-    """Check that a text has no anchors and aliases, and is nested at most `_MOST_NESTED` deep.
+    """Check that a text has no anchors, aliases and odd blanks, and is nested at most `_MOST_NESTED` deep.
 
     Raises
     ------
@@ -121,6 +127,8 @@ def _check_events(text: str) -> None:
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > _MOST_NESTED:
             raise _at(event, "nested too deeply")
+        if isinstance(event, yaml.ScalarEvent) and not event.style and (odd := _BLANK.search(event.value)):
+            raise _at(event, f"the blank U+{ord(odd[0]):04X}, as of a web page, is no space in YAML: type it anew")
 
 
 @lru_cache(maxsize=1)

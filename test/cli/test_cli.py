@@ -102,7 +102,7 @@ def test_a_question_that_nobody_answers_ends_without_traceback(capsys, monkeypat
 
 def test_error_messages_contain_no_control_characters(capsys):
     assert cli.main(["config", "\x1b[31mred\n.yaml"]) == 2
-    assert capsys.readouterr().err == "dqwalk: no configuration file '\\x1b[31mred\\n.yaml'\n"
+    assert capsys.readouterr().err == "dqwalk: no configuration '\\x1b[31mred\\n.yaml'\n"
 
 
 def test_version(capsys):
@@ -214,6 +214,10 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["walk", "--config", "poppy", "--set", "gait.steps=0"], "add --cmd-vel, or set ROS_DOMAIN_ID"),
         (["config", "paper", "--set", "ssp.com_radios=0.04"], "did you mean 'ssp.com_radius'"),
         (["config", "paper", "--set", "ssp.com_radius"], "KEY=VALUE"),
+        (["config", "paper", "--set", "gait.walk=\udcff"], "not a text in UTF-8"),
+        (["config", "--check"], "--check is about a configuration; name it"),
+        (["report", ""], "Invalid value for 'BAG': it is empty"),
+        (["config", "paper", "--params", ""], "Invalid value for '--params': it is empty"),
         (["config", "poppy", "--check", "--set", "collision.pairs=[shin=r_shin]"], "no link 'shin'"),
         (["config", "paper", "--check", "--set", "collision.pairs=[a=b]"], "no link 'a'"),
         (["config", "poppy", "--check", "--set", "gait.walk=nowhere:Walk"], "No module named 'nowhere'"),

@@ -10,7 +10,11 @@ import pytest
 import yaml
 
 from dqwalk_ros.config import SHIPPED, Config, find_share, from_yaml, load, to_yaml, with_files
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.config.files import OVERLAYS
+from dqwalk_ros.robot.model import find_urdf
+from dqwalk_ros.support.errors import ConfigError, ModelError
+
+ROOT = Path(__file__).parents[2]
 
 
 def text(body: str) -> str:
@@ -87,6 +91,12 @@ VALUES = [
     ("dt: \u0660.\u0660\u0661", "line 3: 'dt' must be a number"),  # digits, but not those of YAML
     ("use_sim_time: maybe", "line 3: 'use_sim_time' must be true or false"),
     ("dt: 2001-01-01", "'dt' must be a number"),
+    ("dt:\u00a00.005", "line 3: not YAML: the blank U\\+00A0"),
+    ("robot: {urdf: a\u200bb}", "line 3: not YAML: the blank U\\+200B"),
+    ("robot: {imu_rpy: [90, 0, 0]}", r"'robot.imu_rpy' must be a list of 3 numbers in \[-6.3, 6.3\], got \[90"),
+    ("robot: {imu_rpy: [0, 0]}", "'robot.imu_rpy' must be a list of 3 numbers"),
+    ("robot: {imu_rpy: [0, 0, .nan]}", "'robot.imu_rpy' must be a list of 3 numbers"),
+    ("robot: {left_sole_xyz: [0, 1e308, 0]}", r"must be a list of 3 numbers in \[-10, 10\]"),
     ("dt: [1", "line 4: not YAML"),
     ("dt: *x", "line 3: not YAML: anchors"),
     ("<<: {dt: 1}", "line 3: not YAML: merge keys"),
@@ -130,10 +140,18 @@ def test_an_unknown_name_that_resembles_none_is_refused_where_it_can_belong_to_n
 
 
 def test_missing_and_unreadable_files(tmp_path):
-    with pytest.raises(ConfigError, match=r"no configuration file '.*nowhere.yaml'"):
-        load(tmp_path / "nowhere.yaml")
-    with pytest.raises(ConfigError, match=r"no configuration 'papre': neither a file nor one of paper"):
-        load("papre")
+    (tmp_path / "folder.yaml").mkdir()
+    (tmp_path / "link.yaml").symlink_to("link.yaml")
+    for source, expected in (
+        (tmp_path / "nowhere.yaml", r"no configuration '.*nowhere.yaml'$"),
+        (tmp_path / "folder.yaml", r"folder.yaml' is a folder; name the configuration$"),
+        (tmp_path / "link.yaml", r"link.yaml': it is a link that leads nowhere$"),
+        ("~/mine.yaml", r"no configuration '~/mine.yaml': no shell has replaced the '~'; write the whole path$"),
+        ("papre", r"no configuration 'papre': neither a file nor one of paper"),
+        (" ", "the name of the configuration is empty"),
+    ):
+        with pytest.raises(ConfigError, match=expected):
+            load(source)
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(ConfigError, match=r"cannot read|not YAML"):
         load(tmp_path / "binary.yaml")
@@ -235,5 +253,25 @@ def test_a_ground_is_given_by_its_name() -> None:
     rough = with_files(walk, [Path("rough")])
     assert rough.servo.window < walk.servo.window
     assert rough.standing.swing_duration < walk.standing.swing_duration
-    with pytest.raises(ConfigError, match="config/overlays/"):
+    assert sorted(OVERLAYS) == sorted(path.stem for path in (ROOT / "config/overlays").iterdir())
+    with pytest.raises(ConfigError, match="no parameter file 'swamp': neither a file nor one of arms, rough, stairs"):
         with_files(walk, [Path("swamp")])
+
+
+def test_the_former_name_of_a_parameter_is_said_in_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    assert Config().updated({"physics.imu": "head"}, source="mine.yaml").robot.imu == "head"
+    assert caplog.messages == ["mine.yaml: 'physics.imu' is now 'robot.imu'"]
+
+
+@pytest.mark.parametrize(
+    ("urdf", "expected"),
+    [
+        ("package://poppy/poppy.urdf", "robot.urdf is 'package://.*it must be a path"),
+        ("~/robot.urdf", "robot.urdf: no robot description '~/robot.urdf': no shell has replaced"),
+        ("", "robot.urdf: the name of the robot description is empty"),
+        (".", "robot.urdf: '.' is a folder"),
+    ],
+)
+def test_a_robot_that_is_not_found_is_said_with_its_parameter(urdf: str, expected: str) -> None:
+    with pytest.raises(ModelError, match=expected):
+        find_urdf(urdf)

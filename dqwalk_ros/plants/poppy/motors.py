@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Annotated
 
 import msgspec
 
-from dqwalk_ros.config import Config, find_share
+from dqwalk_ros.config import Config, find_file
 from dqwalk_ros.robot.servos import ServoType
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
@@ -82,9 +81,7 @@ def load_motors(source: str, types: Mapping[str, ServoType]) -> dict[str, Motor]
     ConfigError
         If the file is missing or not a valid table; the message names the motor.
     """
-    path = Path(source)
-    if not path.is_file():
-        path = find_share("config/motors", f"{source}.yaml" if not path.suffix else source)
+    path = find_file("table of motors", source, "config/motors", ("poppy",))
     text = strict_yaml.read_text(path)
     tree = strict_yaml.read(text, source=str(path))
     table = tree.get("motors") if isinstance(tree, dict) else None
