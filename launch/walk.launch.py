@@ -18,7 +18,7 @@ from launch.logging import get_logger
 from launch_ros.actions import Node
 
 from dqwalk_ros.cli.options import parse_overrides
-from dqwalk_ros.config import Config, find_config, find_share, load, overlaid, replaced, with_files
+from dqwalk_ros.config import Config, find_config, find_params, find_share, load, overlaid, replaced, with_files
 from dqwalk_ros.nodes.launching import description, values_of
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
@@ -34,8 +34,8 @@ ARGUMENTS = {
               "; ".join(f"{name}, {each.meaning}" for name, each in PLANTS.items()) +
               "; or MODULE:CLASS of your own. ros2_control.launch.py starts Poppy's controllers. config/plants/ has "
               "the parameters a plant requires of all nodes, which replace those of config", None),
-    "params": ("", "further parameter file, applied after those of config and plant, such as that of `dqwalk identify`",
-               None),
+    "params": ("", "further parameter file, applied after those of config and plant, such as that of `dqwalk "
+               "identify`, or the name of one in config/overlays, such as rough", None),
     "set": ("", "single parameters, applied last: 'KEY=VALUE KEY=VALUE', such as set:='gait.steps=1'", None),
     "lockstep": ("false", "true: each state waits for its command, so the walk is reproducible and as fast as the "
                  "machine allows; all nodes stop after the walk, with an error if it failed; false: real time, until "
@@ -79,9 +79,7 @@ def nodes(context: LaunchContext) -> list[object]:
     plant = entry(given["plant"])
     # ros2 launch accepts a parameter file that is missing: the nodes would start with their defaults
     config = find_config(given["config"] or ("paper" if given["plant"] == "integrator" else "poppy"))
-    params = [Path(given["params"])] if given["params"] else []
-    if params and not params[0].is_file():
-        raise ConfigError(f"params: no parameter file '{params[0]}'")
+    params = [find_params(given["params"])] if given["params"] else []
     changes = typed(parse_overrides(shlex.split(given["set"])))
     values: dict[str, object] = {
         "node.end_with_parent": True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -9,15 +10,33 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 
+from dqwalk_ros.config import Config
+from dqwalk_ros.support.errors import ConfigError
+
 __all__ = ["Arguments", "description", "values_of"]
 
 Arguments = Mapping[str, tuple[str, str, Sequence[str] | None]]
 """Default, description and choices of each argument."""
+_PARAMETERS = {spec.name for spec in Config.specs()}
 _DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
 def values_of(context: LaunchContext, arguments: Arguments) -> dict[str, str]:
-    """Return the values of the arguments."""
+    """Return the values of the arguments.
+
+    `ros2 launch` ignores an argument that no launch file declares: with ``confg:=my_robot/robot.yaml`` another robot's
+    walk would start.
+
+    Raises
+    ------
+    ConfigError
+        If the command line has the name of an argument misspelt, or that of a parameter.
+    """
+    for name in (word.partition(":=")[0] for word in context.argv):
+        if close := [one for one in difflib.get_close_matches(name, arguments, n=1, cutoff=0.75) if one != name]:
+            raise ConfigError(f"there is no argument '{name}:='; did you mean '{close[0]}:='?")
+        if name in _PARAMETERS:
+            raise ConfigError(f"'{name}' is a parameter: set:='{name}=VALUE'")
     return {name: LaunchConfiguration(name).perform(context) for name in arguments}
 
 

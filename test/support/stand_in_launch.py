@@ -18,9 +18,15 @@ class StandIn:
     def __init__(self, *args: Any, **given: Any) -> None:
         self.args, self.given = args, given
 
-    def perform(self, context: dict[str, str]) -> str:
+    def perform(self, context: Context) -> str:
         """Return the value of a LaunchConfiguration."""
         return context[self.args[0]]
+
+
+class Context(dict[str, str]):
+    """The values of the arguments of a launch file, and the command line."""
+
+    argv: tuple[str, ...] = ()
 
 
 class Launch(types.ModuleType):
