@@ -189,7 +189,7 @@ def _step(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     """Check that the legs reach a step: the walk moves each footprint to the nearest one that they reach."""
     length = config.gait.step_length
     reached, stuck = Footsteps(config, model, q).reach(length)
-    if reached < _REACHED * length:
+    if abs(reached) < _REACHED * abs(length):
         why = f": {', '.join(stuck)} at the limit" if stuck else ""
         yield Finding(
             f"the legs reach steps of {1e3 * reached:.0f} mm instead of {1e3 * length:.0f} mm{why}",

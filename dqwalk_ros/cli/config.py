@@ -74,13 +74,18 @@ def config(
 def _check(name: str, made: Config) -> int:
     """Print the parameters that do not fit the robot; return 1 if there are any."""
     from dqwalk_ros.adopt.check import check, require_usable
+    from dqwalk_ros.config import Config
     from dqwalk_ros.robot.model import load_model
 
     model = load_model(made.robot)
     for repair in model.repairs:
         print(f"repaired: {repair}")
-    findings = check(made, model)
-    if not findings:
+    if made.whole_body != Config().whole_body:
+        from dqwalk_ros.whole_body import WholeBodyController
+
+        WholeBodyController(made, model)
+        findings = []
+    elif not (findings := check(made, model)):
         require_usable(made, model)
     for finding in findings:
         print(f"{name}: {finding}")

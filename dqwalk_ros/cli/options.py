@@ -306,15 +306,13 @@ def config_of(
     ConfigError
         If any of them is invalid.
     """
-    from dqwalk_ros.config import Config, load, overlaid, replaced, with_files
+    from dqwalk_ros.config import load, overlaid, replaced, with_files
     from dqwalk_ros.walks.table import walk_type
 
     values: dict[str, Any] = {"gait.steps": 0} if course else {}
     values |= parse_overrides(changes)
     values |= {name: value for name, value in (also or {}).items() if value is not None}
     own = load(config)
-    if plant and own.whole_body != Config().whole_body:
-        raise ConfigError(f"'{config}' is a configuration of the whole-body controller: dqwalk reach --config {config}")
     used = entry(plant) if plant else None
     file = used.parameters if used else ""
     if used and used.type:

@@ -160,6 +160,8 @@ def _other(path: Path, namespace: str | None, walk: str) -> Subject:
     from dqwalk_ros.report.html.page import Subject
 
     content = bag.content_of(path)
+    if bag.is_body(content):
+        raise ConfigError("--compare and --csv are not available for whole-body walks")
     series = reporting.analyse(bag.read(content, namespace=namespace, walk=walk))
     drawn = list(figures.drawn(series))
     return Subject(_name(path), series, reporting.report(series), diagnostics_of(content), drawn)

@@ -122,6 +122,8 @@ def read(path: str | pathlib.Path) -> Study:
         file = msgspec.convert(tree, _File)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{path}: {error}; `dqwalk study --help` shows a study") from None
+    if file.sample == "grid" and (wrong := sorted({"count", "seed"} & tree.keys())):
+        raise ConfigError(f"{path}: '{wrong[0]}' belongs to 'sample: latin_hypercube' or sobol; a grid has 'steps'")
     if file.sample == "sobol" and file.count & (file.count - 1):
         raise ConfigError(f"{path}: 'count' must be a power of two for sobol, not {file.count}")
     vary = {name: _range(name, value, path) for name, value in file.vary.items()}

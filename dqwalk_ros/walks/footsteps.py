@@ -154,7 +154,7 @@ class Footsteps:
             reached = self.nearest(support, self.wanted(support, length, 0.0, 0.0))
             beside = self.wanted(support, 0.0, 0.0, 0.0)
             found.append((float((DQ(reached.pose).translation() - DQ(beside).translation())[0]), reached.at_limit))
-        return min(found)
+        return min(found, key=lambda one: abs(one[0]))
 
     def wanted(self, support: Foot, length: float, side: float, turn: float) -> Array:
         """Return the landing pose of `step` without regard to the reach of the legs, shape (8,)."""

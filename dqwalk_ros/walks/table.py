@@ -26,8 +26,11 @@ def walk_type(config: Config) -> type[Walk]:
     Raises
     ------
     ConfigError
-        If ``gait.walk`` is not MODULE:CLASS, the class cannot be imported, or it is not a subclass of `Walk`.
+        If ``gait.walk`` is not MODULE:CLASS, the class cannot be imported, or it is not a subclass of `Walk` that
+        defines all its members; if the configuration is of the whole-body controller, which has no such walk.
     """
+    if config.whole_body != Config().whole_body:
+        raise ConfigError("this is a configuration of the whole-body controller: dqwalk reach --config CONFIG")
     own = config.gait.walk
     if not own:
         recovers = config.gait.style == "standing" and config.gait.recover
@@ -41,6 +44,8 @@ def walk_type(config: Config) -> type[Walk]:
         raise ConfigError(f"gait.walk is '{own}'; the class cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Walk)):
         raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.paper.walk.Walk")
+    if lacks := sorted(found.__abstractmethods__):
+        raise ConfigError(f"gait.walk is '{own}', which does not define {', '.join(lacks)}")
     return found
 
 

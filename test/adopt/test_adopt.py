@@ -230,6 +230,13 @@ def test_check_reports_wrong_parameters(name: str, small: Adoption) -> None:
     assert any(re.search(expected, str(finding)) for finding in found), found
 
 
+def test_a_step_back_that_the_legs_reach_is_no_problem() -> None:
+    config = load("poppy").updated({"gait.step_length": -0.05})
+    assert not check(config, load_model(config.robot))
+    found = check(config.updated({"gait.step_width": 0.3}), load_model(config.robot))
+    assert any("steps of -" in str(one) and "instead of -50 mm" in str(one) for one in found), found
+
+
 def test_config_check_loads_the_robot(small: Adoption, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(small.folder / "robot.yaml")
     assert cli.main(["config", path, "--check"]) == 0

@@ -231,7 +231,11 @@ def test_the_output_of_config_can_be_loaded(capsys, tmp_path):
         (["simulate", "--set", "robot.urdf=nowhere.urdf"], "nowhere.urdf"),
         (["simulate", "--set", "robot.right_sole=l_sole"], "no joint moves the soles"),
         (["simulate", "--set", "gait.walk=dqwalk_ros.paper.walk"], "'dqwalk_ros.paper.walk'; it must be MODULE:CLASS"),
-        (["simulate", "--config", "whole_body"], "whole-body controller: dqwalk reach --config whole_body"),
+        (
+            ["config", "paper", "--check", "--set", "gait.walk=dqwalk_ros.paper.walk:Walk"],
+            "not define both_feet, describe",
+        ),
+        (["simulate", "--config", "whole_body"], "whole-body controller: dqwalk reach --config CONFIG"),
         (["reach", "--config", "paper"], "'paper' is not a configuration of the whole-body controller"),
         (["robustness", "--steps", "0"], "the walk has no end"),
         (["study", str(ROOT / "config/paper.yaml")], "paper.yaml: this is a configuration, not a study"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -478,6 +479,18 @@ def test_a_missing_topic_is_named(path, tmp_path, topic):
 def test_the_error_of_another_bag_lists_its_topics(path, tmp_path):
     other = rewrite(path, tmp_path / "b", rename=lambda t: "/chatter" if t == "/phase" else None)
     with pytest.raises(BagError, match=r"no messages on joint_states, .*its topics are /chatter"):
+        bag.read(other)
+
+
+def test_a_whole_body_walk_is_named():
+    with pytest.raises(BagError, match="a whole-body walk, which only `dqwalk report` reads"):
+        bag.read(Path(__file__).parents[1] / "data/recorded/whole_body")
+
+
+def test_a_topic_of_another_type_is_not_called_missing(path, tmp_path):
+    names = {"/joint_velocity_commands": None, "/support_foot": "/joint_velocity_commands"}
+    other = rewrite(path, tmp_path / "b", rename=lambda topic: names.get(topic, topic))
+    with pytest.raises(BagError, match=r"messages of another type on joint_velocity_commands \(std_msgs/msg/String\)"):
         bag.read(other)
 
 

@@ -96,6 +96,7 @@ SIX = ", ".join(
         ("[1, 2]", "--help"),
         ("sample: random\nvary: {dt: [0.005]}", "sample"),
         ("sample: sobol\ncount: 12\nvary: {dt: [0.005]}", "power of two"),
+        ("count: 12\nvary: {dt: [0.005, 0.01]}", "'count' belongs to 'sample: latin_hypercube' or sobol"),
         ("vary: {start.l_knee_y: [a]}", "must be a finite number"),
         ("vary: {mass.pelvis: [.nan]}", "must be a finite number"),
         ("vary: {mass.pelvis: [-1.0]}", "must not be negative"),

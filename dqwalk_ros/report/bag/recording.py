@@ -150,7 +150,12 @@ def _columns_of(
         if (column := content.columns.get(f"{prefix}/{name}")) is not None and column.type == kind
     }
     missing = [f"{prefix}/{name}".strip("/") for name in required if name not in columns]
+    if missing and is_body(content):
+        raise BagError(f"'{content.path}' is a whole-body walk, which only `dqwalk report` reads")
     if missing:
+        odd = [f"{name} ({content.topics[f'/{name}']})" for name in missing if f"/{name}" in content.topics]
+        if odd:
+            raise BagError(f"'{content.path}' is not a walk: it has messages of another type on {listed(odd)}")
         have = listed(content.topics) or "none"
         lack = f"it has no messages on {', '.join(missing)}; its topics are {have}"
         raise BagError(f"'{content.path}' is not a walk: {lack}")
