@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import signal
+import sys
+
+from dqwalk_ros.support.errors import not_imported
 
 __all__ = ["dqwalk", "node"]
 
@@ -10,7 +13,8 @@ __all__ = ["dqwalk", "node"]
 class _Starting:
     """While a program imports its modules, Ctrl-C ends it silently: nothing has begun that could be lost.
 
-    Python would print where it was importing, or an import could lose the KeyboardInterrupt.
+    Python would print where it was importing, or an import could lose the KeyboardInterrupt. A package that cannot be
+    imported, as with the PYTHONPATH of another Python, ends it with its name.
     """
 
     def __enter__(self) -> None:
@@ -18,8 +22,10 @@ class _Starting:
         if self._before is signal.default_int_handler:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         signal.signal(signal.SIGINT, self._before)
+        if isinstance(error, Exception) and (why := not_imported(error)):
+            sys.exit(f"{sys.argv[0].rpartition('/')[2]}: {why}")
 
 
 def dqwalk() -> int:

@@ -34,6 +34,8 @@ __all__ = ["Anatomy", "distances", "find_anatomy"]
 
 _UNLIKE = 0.5
 """Largest difference of the limits of joints that mirror each other [rad]."""
+_OTHER_SERVO = 2.0
+"""Largest velocity or effort limit of a joint, relative to that of the joint of the other leg."""
 _STRAIGHT = 0.9
 """Least component of an axis that counts as roll, pitch or yaw."""
 _LATERAL = 0.5
@@ -355,7 +357,7 @@ def _without_torque_limit(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]])
 
 
 def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:
-    """Return the joints of both legs whose ranges do not mirror each other; empty if all do."""
+    """Return the joints of both legs whose limits do not mirror each other; empty if all do."""
     out = []
     for names in zip(*legs.values(), strict=True):
         (one, two), (a, b) = (skeleton.joints[name].limit for name in names), map(skeleton.axis, names)
@@ -365,6 +367,11 @@ def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str
         if abs(same) > _STRAIGHT and off > _UNLIKE:
             ranges = " and ".join(f"{j.lower:.2f} to {j.upper:.2f}" for j in (one, two))
             out.append(f"'{names[0]}' and '{names[1]}' do not mirror each other: {ranges} rad")
+        for what, unit in (("velocity", "rad/s"), ("effort", "N m")):
+            low, high = sorted(getattr(limit, what) for limit in (one, two))
+            if _OTHER_SERVO * low < high < math.inf:
+                text = f"have the {what} limits {getattr(one, what):g} and {getattr(two, what):g} {unit}"
+                out.append(f"'{names[0]}' and '{names[1]}' {text}")
     return "; ".join(out)
 
 

@@ -13,6 +13,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import gravity_torques
+from dqwalk_ros.plants.base import stands_still
 from dqwalk_ros.plants.table import entry, make_plant
 from dqwalk_ros.robot.model import RobotModel, find_urdf
 from dqwalk_ros.robot.servos import Servos
@@ -50,7 +51,8 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
     also torques and whether the CoM is between the soles, and for the standing walk the CoM, servos and steps.
     """
     q = model.posture(config.standing.posture)
-    found = [*_posture(config, model, q), *_soles(config, model, q)]
+    found = [Finding(why, "")] if (why := stands_still(config)) else []
+    found += [*_posture(config, model, q), *_soles(config, model, q)]
     if config.arms.joints and not config.collision.pairs:
         text = "nothing keeps the free arms from the body; `dqwalk config FILE --capsules` prints pairs and capsules"
         found.append(Finding(text, "collision.pairs, collision.capsules"))

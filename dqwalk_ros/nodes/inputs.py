@@ -19,6 +19,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.safety import CommandGate, DuplicatePublishers, Watchdog
 from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.base import stands_still
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import ConfigError, StateError
 
@@ -118,12 +119,8 @@ class CommandInput:
     """
 
     def __init__(self, node: WalkNode, model: RobotModel, topic: str = VELOCITY) -> None:
-        timeout, dt = node.config.plant.command_timeout, node.config.dt
-        if not node.lockstep and timeout < 2.0 * dt:
-            raise ConfigError(
-                f"'plant.command_timeout' is {timeout:g} s, but commands come every {dt:g} s (dt): the robot would "
-                f"stand still; set at least {2.0 * dt:g} s"
-            )
+        if why := stands_still(node.config):
+            raise ConfigError(why)
         self._node, self._topic = node, topic
         self.gate = CommandGate(model, lambda: node.config.plant.command_timeout, node.steady)
         self._reader = ros.JointReader(model.joint_names)

@@ -28,6 +28,7 @@ __all__ = [
     "checked",
     "orientation_of",
     "pushed_periods",
+    "stands_still",
     "tilt",
     "upward",
 ]
@@ -177,6 +178,17 @@ def center_of_pressure(soles: Mapping[Foot, Array], wrenches: Mapping[Foot, Arra
         pressed = wrench[..., [4, 3, 5]] * [-1.0, 1.0, 0.0] / np.maximum(force, 1e-3)  # point of the sole
         total, moment = total + force, moment + force * DQ(soles[foot]).transform_point(pressed)
     return np.where(total > 1e-2, moment / np.maximum(total, 1e-2), np.nan)
+
+
+def stands_still(config: Config) -> str:
+    """Return why a plant in real time would never move, because it takes each command for the last one; or ""."""
+    timeout, dt = config.plant.command_timeout, config.dt
+    if config.plant.lockstep or timeout >= 2.0 * dt:
+        return ""
+    return (
+        f"'plant.command_timeout' is {timeout:g} s, but commands come every {dt:g} s (dt): the robot would stand "
+        f"still; set at least {2.0 * dt:g} s"
+    )
 
 
 def checked(values: ArrayLike, n: int, what: str) -> Array:

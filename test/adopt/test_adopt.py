@@ -207,6 +207,7 @@ MUTATIONS: dict[str, tuple[dict[str, Any], str]] = {
         {"robot.left_sole": "dqwalk_right_sole", "robot.right_sole": "dqwalk_left_sole"},
         "left and right are exchanged",
     ),
+    "a timeout of one period": ({"dt": 0.06}, "commands come every 0.06 s .*: the robot would stand still"),
     "soles 35 mm high": (
         {"robot.left_sole_xyz": [0.0, 0.0, 0.035], "robot.right_sole_xyz": [0.0, 0.0, 0.035]},
         "reaches 35 mm below its sole",

@@ -220,6 +220,9 @@ def test_limits_that_do_not_mirror_each_other_are_doubted(tmp_path: Path) -> Non
     found = {entry.what: entry for entry in anatomy_of(read(tmp_path, wrong, right)).evidence}
     assert "'l_knee' and 'r_knee' do not mirror each other: -0.10 to 2.20" in found["limits of the legs"].value
     assert "limits of the legs" not in {entry.what for entry in anatomy_of(Urdf.load(SMALL)).evidence}
+    slow = r'(name="l_knee".*?velocity=)"[^"]*"', r'\1"0.001"'
+    found = {entry.what: entry for entry in anatomy_of(read(tmp_path, slow)).evidence}
+    assert "'l_knee' and 'r_knee' have the velocity limits 0.001 and " in found["limits of the legs"].value
 
 
 CHEST = (

@@ -541,6 +541,19 @@ def test_a_package_that_refuses_its_environment_is_named_and_other_errors_are_no
         cli.main(["walk", "--out", str(tmp_path / "out")])
 
 
+@pytest.mark.parametrize(("program", "package"), [("dqwalk", "click"), ("dqwalk_controller", "msgspec")])
+def test_a_package_of_another_python_is_named_before_a_program_has_begun(tmp_path, program, package):
+    (tmp_path / f"{package}.py").write_text("raise ImportError('undefined symbol: _PyX')")
+    environment = {**HERE, "PYTHONPATH": os.pathsep.join([str(tmp_path), HERE["PYTHONPATH"]])}
+    line = (
+        f"import sys; from dqwalk_ros.programs import {'dqwalk' if program == 'dqwalk' else 'node'} as p; sys.exit(p())"
+    )
+    code = f"import sys; sys.argv = ['{program}', '--help']; {line}"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == f"{program}: {package} cannot be imported: undefined symbol: _PyX\n"
+
+
 # ---------------------------------------------------------------------- progress
 
 
