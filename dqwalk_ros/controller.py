@@ -227,7 +227,7 @@ class VelocityController:
         self._solved = []
         self.solution = self._active.solved(now, self._solve)
         assert self.problem is not None  # the last one solved
-        u = _within(self.solution.u, self.problem.lower, self.problem.upper, self._u, self.model.velocity_max)
+        u = _within(self.solution.u, *self.problem.parts[4:], self._u, self.model.velocity_max)
         effort = self._effort(kin, state, u)
         self._u = u
         self._learn(state, u, effort, dt)

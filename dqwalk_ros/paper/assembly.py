@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum, sampled, vfi
-from dqwalk_ros.paper.features import QUANTITY, Quantity, Watched, observe
+from dqwalk_ros.paper.features import BODIES, QUANTITY, WATCHED, Quantity, Watched, observe
 from dqwalk_ros.paper.kinematics import Bodies, Kinematics, forward
-from dqwalk_ros.paper.qp.problem import Numbers, Problem, objective
+from dqwalk_ros.paper.qp.problem import Problem, Shape, objective, parts
 from dqwalk_ros.paper.tasks import Task, converge
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.compiled import INTEGERS, MATRIX, TABLE, VECTOR, Record, jit
 
 __all__ = ["Assembly", "Evaluation", "least_after"]
 
@@ -47,7 +47,7 @@ class Evaluation:
         Errors of the tasks, signed distances of the equalities and inequalities, and distances (U12) and (U13) from the
         upper and the lower joint limits [rad].
     J : ndarray, shape (r + l + m, n)
-        Jacobians of all but the limits; those of the equalities are the program's.
+        Jacobians of all but the limits.
     wanted : ndarray, shape (r,)
         J u that makes the errors of the tasks converge.
     problem : Problem
@@ -112,7 +112,6 @@ class _Form(NamedTuple):
     tasks : ndarray, shape (tasks, 2)
         eta and saturation of each task.
     sqrt_weights : ndarray, shape (r,)
-    damping : float
     rows : ndarray, shape (3, l + m + 2n)
         Bound, eta and return speed of the rows of all constraints.
     groups : ndarray of int, shape (g, 2)
@@ -121,31 +120,49 @@ class _Form(NamedTuple):
 
     tasks: Array
     sqrt_weights: Array
-    damping: float
     rows: Array
     groups: NDArray[np.int64]
 
 
-_call = QUANTITY.call
+class _Memory(NamedTuple):
+    """What a phase is evaluated with: the tree of the robot, and the records of what is computed."""
+
+    tree: NDArray[np.int64]
+    links: Array
+    bodies: Bodies
+    watched: Watched
+    stack: _Stack
+    form: _Form
+
+
+_MEMORY = Record(
+    _Memory,
+    TABLE,
+    MATRIX,
+    BODIES,
+    WATCHED,
+    Record(_Stack, INTEGERS, TABLE, VECTOR, MATRIX, VECTOR),
+    Record(_Form, MATRIX, VECTOR, MATRIX, TABLE),
+)
+_call, _opened = QUANTITY.call, _MEMORY.opened
 
 
 @jit
 def _assemble(
-    q: Array, up: Array, elapsed: float, dt: float, velocity: Array, tree: tuple[Any, ...], bodies: tuple[Any, ...],
-    watched: tuple[Any, ...], stack: tuple[Any, ...], form: tuple[Any, ...], values: Array, J: Array, wanted: Array,
-    numbers: Numbers,
+    q: Array, up: Array, elapsed: float, dt: float, velocity: Array, damping: float, table: NDArray[np.int64],
+    values: Array, J: Array, wanted: Array, numbers: Array, shape: Shape,
 ) -> float:  # fmt: skip
     """Fill values, Jacobians J, `wanted` and the numbers of the `Problem`; return the norm of the first task's error.
 
-    Records arrive as plain tuples, because numba reads these from Python in half the time.
+    The `table` is that of the `_Memory`.
     """
-    at, seen, made = Bodies(*bodies), Watched(*watched), _Stack(*stack)
-    at.q[:], at.up[:] = q, up
-    forward(at.q, tree[0], tree[1], at.poses, at.lines, at.com, at.com_jacobian)
-    observe(at, seen)
-    _evaluate(at.q, seen.s, made, elapsed, values)
-    J[:] = made.gradients @ seen.J  # the chain rule: dd/dq = dd/ds ds/dq
-    error: float = _fill(values, J, wanted, made, _Form(*form), dt, velocity, numbers)
+    tree, links, bodies, watched, stack, form = _opened(table)
+    bodies.q[:], bodies.up[:] = q, up
+    forward(q, tree, links, bodies.poses, bodies.lines, bodies.com, bodies.com_jacobian)
+    observe(bodies, watched)
+    _evaluate(q, watched.s, stack, elapsed, values)
+    J[:] = stack.gradients @ watched.J  # the chain rule: dd/dq = dd/ds ds/dq
+    error: float = _fill(values, J, wanted, stack, form, damping, dt, velocity, numbers, shape)
     return error
 
 
@@ -176,17 +193,18 @@ def _evaluate(q: Array, s: Array, stack: _Stack, elapsed: float, values: Array) 
 
 @jit
 def _fill(
-    values: Array, J: Array, wanted: Array, stack: _Stack, form: _Form, dt: float, velocity: Array, numbers: Numbers
-) -> float:
+    values: Array, J: Array, wanted: Array, stack: _Stack, form: _Form, damping: float, dt: float, velocity: Array,
+    numbers: Array, shape: Shape,
+) -> float:  # fmt: skip
     """Fill `wanted` and the numbers of the `Problem`; return the norm of the first task's error."""
-    H, c, W, w, lower, upper, equalities = numbers
-    n, r, m = velocity.shape[0], wanted.shape[0], w.shape[0]
+    H, c, W, w, lower, upper = parts(numbers, shape)
+    n, r, m, equalities = velocity.shape[0], wanted.shape[0], w.shape[0], shape[1]
     for k in range(form.tasks.shape[0]):
         rows = slice(stack.spans[k, 0], stack.spans[k, 1])
         wanted[rows] = converge(values[rows], form.tasks[k, 0], form.tasks[k, 1]) - stack.rates[rows]
-    objective(form.sqrt_weights.reshape((r, 1)) * J[:r], form.sqrt_weights * wanted, form.damping, H, c)
+    objective(form.sqrt_weights.reshape((r, 1)) * J[:r], form.sqrt_weights * wanted, damping, H, c)
     right = vfi(values[r:], form.rows[0], form.rows[1], form.rows[2], dt)
-    w[:] = right[:m]
+    W[:], w[:] = J[r:], right[:m]
     w[:equalities] = np.maximum(w[:equalities], -form.rows[2, :equalities])
     w -= stack.rates[r:]
     upper[:] = np.minimum(np.maximum(-right[m : m + n], -velocity), velocity)  # -u >= w of (U12)
@@ -272,10 +290,9 @@ class Assembly:
         stacked: tuple[Quantity, ...] = (*tasks, *every)
         functions = QUANTITY.table([type(item).function for item in stacked])
         n, tree = len(joint_names), kin.tree
-        watches = [item.watches for item in stacked]
-        columns = _slices([sum(feature.size or n for feature in features) for features in watches])
-        watched = Watched.of([*itertools.chain(*watches[:-2])], tree)
+        watched, columns = Watched.of((item.watches for item in stacked[:-2]), tree)
         observe(kin.bodies, watched)
+        columns += [slice(0, 0)] * 2  # a limit is one of q
         seen = [*(watched.s[at] for at in columns[:-2]), kin.q, kin.q]
         given = [np.array(item.parameters, dtype=np.float64) for item in stacked]
         found = [_checked(*one) for one in zip(stacked, functions, seen, given, strict=True)]
@@ -293,28 +310,31 @@ class Assembly:
         self._live = [(numbers, copy[: len(numbers)]) for numbers, copy in live if numbers is not None]
         spans = [(at.start, at.stop) for three in zip(rows, columns, parts, strict=True) for at in three]
         groups = [(at.start, at.stop) for at in _slices(counts[: len(equalities)]) if at.stop - at.start > 1]
-        self._shape = count, n = rows[-3].stop, len(joint_names)
-        self._tree = tree.tree, tree.links
-        self._bodies = tuple(np.empty_like(part) for part in kin.bodies)
-        self._bodies = (*self._bodies[:2], tree.moves, *self._bodies[3:])
-        self._watched = tuple(watched)
-        self._stack = (
-            functions,
-            np.array(spans, dtype=np.int64).reshape(-1, 6),
-            parameters,
-            np.zeros((count, len(watched.s))),
-            np.empty(count),
-        )
+        count = rows[-3].stop
+        self._shape = n, self.equality_rows, count - self.task_rows - self.equality_rows
         self.damping = damping
         self.radius = np.append(np.full(len(self.near), kin.com[2]), np.zeros(2 * n))
-        self._form = (
-            np.array([(eta if task.eta is None else task.eta, task.saturation) for task in tasks]),
-            self.sqrt_weights,
-            damping,
-            self.rows,
-            np.array(groups, dtype=np.int64).reshape(-1, 2),
+        self._memory = _Memory(
+            tree.tree,
+            tree.links,
+            Bodies._make(map(np.empty_like, kin.bodies))._replace(moves=tree.moves),
+            watched,
+            _Stack(
+                functions,
+                np.array(spans, dtype=np.int64).reshape(-1, 6),
+                parameters,
+                np.zeros((count, len(watched.s))),
+                np.empty(count),
+            ),
+            _Form(
+                np.array([(eta if task.eta is None else task.eta, task.saturation) for task in tasks]),
+                self.sqrt_weights,
+                self.rows,
+                np.array(groups, dtype=np.int64).reshape(-1, 2),
+            ),
         )
-        self._first = tuple(watched.first(len(watches[0]))), functions[0], parameters[parts[0]], tasks[0].live
+        self._table = _MEMORY.table(self._memory)
+        self._first = tuple(watched.first(len(tasks[0].watches))), functions[0], parameters[parts[0]], tasks[0].live
         self._unlimited = np.full(n, np.inf)
 
     def __call__(
@@ -323,22 +343,20 @@ class Assembly:
         """Return values and quadratic program; see `walk.Phase.evaluate`."""
         for live, copy in self._live:
             copy[:] = live
-        (k, n), r = self._shape, self.task_rows
-        values, J, wanted = np.empty(k + 2 * n), np.empty((k, n)), np.empty(r)
-        H, c, w, lower, upper = np.empty((n, n)), np.empty(n), np.empty(k - r), np.empty(n), np.empty(n)
-        numbers = H, c, J[r:], w, lower, upper, self.equality_rows
+        (n, l, m), r = self._shape, self.task_rows  # noqa: E741
+        values, J, wanted = np.empty(r + l + m + 2 * n), np.empty((r + l + m, n)), np.empty(r)
+        problem = Problem.empty(self._shape, self.names)
         error = _assemble(
-            q, up, elapsed, _ANY if dt is None else dt, self._unlimited if velocity is None else velocity,
-            self._tree, self._bodies, self._watched, self._stack, self._form, values, J, wanted, numbers,
+            q, up, elapsed, _ANY if dt is None else dt, self._unlimited if velocity is None else velocity, self.damping,
+            self._table, values, J, wanted, problem.numbers, problem.shape,
         )  # fmt: skip
-        problem = Problem(*numbers, self.names)
         if not self._always:
             enters = self.near
             if dt is not None and velocity is not None:  # nothing beyond reaches its bound within a period
                 enters = np.maximum(enters, dt * np.abs(J[r:]) @ velocity)
-            kept = ~(values[r:k] - self.rows[0, : k - r] >= enters)  # also what is not a number
+            kept = ~(values[r : -2 * n] - self.rows[0, : l + m] >= enters)  # also what is not a number
             names = itertools.compress(self.names, [*kept, *[True] * (2 * n)])
-            problem = problem._replace(W=problem.W[kept], w=w[kept], names=tuple(names))
+            problem = problem.replaced(W=problem.W[kept], w=problem.w[kept], names=tuple(names))
         return Evaluation(self, values, J, wanted, problem, error)
 
     def after(self, margins: Array, q: Array, q_after: Array, period: float, dt: float) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
@@ -32,10 +32,24 @@ from dqwalk_ros.paper.kinematics import (
     rotate,
 )
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import FLOAT, INTEGER, MASK, MATRIX, NOTHING, VECTOR, Signature, jit, record
+from dqwalk_ros.support.compiled import (
+    FLOAT,
+    INTEGER,
+    INTEGERS,
+    MASK,
+    MATRIX,
+    NOTHING,
+    TABLE,
+    VECTOR,
+    Record,
+    Signature,
+    jit,
+)
 
 __all__ = [
+    "BODIES",
     "QUANTITY",
+    "WATCHED",
     "Affine",
     "CenterOfMass",
     "CenterOfMassOnGround",
@@ -54,9 +68,8 @@ __all__ = [
 
 _ORIGIN = np.zeros(3)
 
-_FEATURE = Signature(
-    NOTHING, record(Bodies, VECTOR, VECTOR, MASK, MATRIX, MATRIX, VECTOR, MATRIX), INTEGER, VECTOR, VECTOR, MATRIX
-)
+BODIES = Record(Bodies, VECTOR, VECTOR, MASK, MATRIX, MATRIX, VECTOR, MATRIX)
+_FEATURE = Signature(NOTHING, BODIES, INTEGER, VECTOR, VECTOR, MATRIX)
 QUANTITY = Signature((VECTOR, MATRIX, VECTOR), VECTOR, VECTOR, FLOAT)
 """Type of the functions of quantities: (s, parameters, elapsed) -> value, gradient, rate."""
 
@@ -236,18 +249,28 @@ class Watched(NamedTuple):
     J: Array
 
     @classmethod
-    def of(cls, features: Sequence[Feature], tree: SupportTree) -> Self:
-        """Return the features of a robot in the frame of a sole."""
+    def of(cls, watches: Iterable[Sequence[Feature]], tree: SupportTree) -> tuple[Self, list[slice]]:
+        """Return the features that several quantities watch, in the frame of a sole, and the coordinates of each in s.
+
+        A feature that several of them watch is computed once.
+        """
         n = tree.moves.shape[1]
-        placed = [feature.placed(tree) for feature in features]
-        local = np.zeros((len(features), 8))
-        for row, (_, part) in zip(local, placed, strict=True):
-            row[: len(part)] = part
-        ends = [*itertools.accumulate(feature.size or n for feature in features)]
-        functions = _FEATURE.table([type(feature).function for feature in features])
-        size = ends[-1]
-        places = np.array([*zip((body for body, _ in placed), [0, *ends[:-1]], ends, strict=True)])
-        return cls(functions, places, local, np.empty(size), np.empty((size, n)))
+        made: list[tuple[Callable[..., None], int, int, tuple[float, ...]]] = []
+        columns = []
+        for features in watches:
+            placed = [(type(one).function, one.size or n, *one.placed(tree)) for one in features]
+            wanted = [(function, size, body, tuple(local.tolist())) for function, size, body, local in placed]
+            count = len(wanted)
+            at = next((k for k in range(len(made)) if made[k : k + count] == wanted), len(made))
+            made[at : at + count] = wanted
+            begin = sum(size for _, size, *_ in made[:at])
+            columns.append(slice(begin, begin + sum(size for _, size, *_ in wanted)))
+        functions, sizes, bodies, parts = zip(*made, strict=True)
+        local = np.array([(*part, *[0.0] * (8 - len(part))) for part in parts])
+        ends = [*itertools.accumulate(sizes)]
+        places = np.array([*zip(bodies, [0, *ends[:-1]], ends, strict=True)])
+        s, J = np.empty(ends[-1]), np.empty((ends[-1], n))
+        return cls(_FEATURE.table(functions), places, local, s, J), columns
 
     def first(self, count: int) -> Self:
         """Return the first features, in the same memory."""
@@ -255,6 +278,7 @@ class Watched(NamedTuple):
         return type(self)(self.functions[:count], self.places[:count], self.local[:count], self.s[:end], self.J[:end])
 
 
+WATCHED = Record(Watched, INTEGERS, TABLE, MATRIX, VECTOR, MATRIX)
 _call = _FEATURE.call
 
 
@@ -271,7 +295,7 @@ class Observer:
 
     def __init__(self, features: Sequence[Feature], tree: SupportTree) -> None:
         self._given = features, tree
-        self._watched = Watched.of(features, tree)
+        self._watched, _ = Watched.of([features], tree)
         self.size = len(self._watched.s)
 
     def __call__(self, kin: Kinematics) -> tuple[Array, Array]:

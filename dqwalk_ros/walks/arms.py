@@ -496,16 +496,16 @@ class Arms:
         walk_H[arms, arms] += weight
         keeps = ~of_arms
         names = (*itertools.compress(problem.names, keeps), *problem.names[len(keeps) :])
-        u = solve(problem._replace(H=walk_H, c=walk_c, W=problem.W[keeps], w=problem.w[keeps], names=names)).u
+        u = solve(problem.replaced(H=walk_H, c=walk_c, W=problem.W[keeps], w=problem.w[keeps], names=names)).u
         H[arms, arms] += now.assembly.damping**2
         H[others, others] += _FIRST
         c[others] -= _FIRST * u[others]
-        chosen = problem._replace(H=H, c=c)
+        chosen = problem.replaced(H=H, c=c)
         solution = solve(chosen)
         self._note_pressing(of_arms, chosen, solution)
         c = walk_c.copy()
         c[arms] -= weight * solution.u[arms]
-        return solve(problem._replace(H=walk_H, c=c))
+        return solve(problem.replaced(H=walk_H, c=c))
 
     def _slowed(self, problem: Problem) -> Problem:
         """Return a program in which no joint with a command is quicker than allowed, such as a stretched elbow."""
@@ -514,7 +514,7 @@ class Arms:
             return problem
         most = np.full(self._model.n, np.inf)
         most[self._joints[places]] = self._fastest[places]
-        return problem._replace(lower=np.clip(problem.lower, -most, most), upper=np.clip(problem.upper, -most, most))
+        return problem.replaced(lower=np.clip(problem.lower, -most, most), upper=np.clip(problem.upper, -most, most))
 
     def _of_arms(self, problem: Problem) -> NDArray[np.bool_]:
         """Return which rows of a program keep a link of an arm from others, shape (l + m,)."""

@@ -24,7 +24,7 @@ def walked():
 def test_the_constraint_is_a_row_of_the_quadratic_program(walked):
     controller, trace = walked
     problem = controller.problem
-    row = problem.names.index("com_above") - problem.equalities
+    row = problem.names.index("com_above") - problem.e.size
     kin = Kinematics(MODEL, trace.q[-1], controller.phase.base)
     np.testing.assert_allclose(problem.G[row], kin.com_jacobian[2], atol=1e-15)
     assert problem.h[row] == pytest.approx(-5.0 * (kin.com[2] - 0.25), abs=1e-12)

@@ -76,8 +76,7 @@ walk, q = make_walk(config, model), np.linspace(-0.05, 0.05, model.n)
 for kind, target in ((PhaseKind.DOUBLE_SUPPORT, None), (PhaseKind.SINGLE_SUPPORT, walk.footstep(Foot.LEFT))):
     phase = walk.phase(kind, Foot.LEFT, np.zeros(model.n), target)
     problem = phase.evaluate(q, dt=config.dt, velocity=model.velocity_max).problem
-    for part in problem[:6]:
-        print(np.array2string(part, precision=12, threshold=10**6))
+    print(np.array2string(problem.numbers, precision=12, threshold=10**6))
 trace = simulate(make_controller(config, model), KinematicPlant(model), max_time=9.0)
 print([(phase.name, round(phase.time, 6)) for phase in trace.phases], trace.notes)
 """

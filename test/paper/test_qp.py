@@ -88,9 +88,8 @@ def test_problems_of_other_sizes_do_not_disturb_a_careful_solution(monkeypatch):
 def test_a_problem_that_has_a_solution_is_solved_whatever_clarabels_status(name):
     """Of Poppy with free arms in double and in single support, after a push."""
     with np.load(Path(__file__).parents[1] / "data" / f"{name}.npz") as of:
-        problem = Problem(**of)
-    names = tuple(map(str, range(len(problem.w) + 2 * len(problem.c))))
-    problem = problem._replace(equalities=int(problem.equalities), names=names)
+        names = tuple(map(str, range(len(of["w"]) + 2 * len(of["c"]))))
+        problem = Problem.of(**dict(of) | {"equalities": int(of["equalities"]), "names": names})
     np.testing.assert_allclose(make_solver("clarabel").solve(problem).u, exact(problem), atol=1e-6)
 
 

@@ -69,7 +69,7 @@ def test_rounding_errors_cause_no_motion(name):
     rng, solver = np.random.default_rng(5), SOLVERS[name]()
     for _ in range(40):
         problem = random_problem(rng, n=12, equalities=6)
-        still = problem._replace(
+        still = problem.replaced(
             c=np.zeros(12), w=np.minimum(problem.w, -0.1), lower=np.full(12, -0.3), upper=np.full(12, 0.3)
         )
         still.w[:6] = 1e-16 * rng.normal(size=6)
@@ -84,7 +84,7 @@ def test_an_infeasible_problem_names_its_rows(name):
     W, w = problem.W.copy(), problem.w.copy()
     W[1], w[1] = -W[0], 5.0 - w[0]
     with pytest.raises(QPError, match="row0") as caught:
-        solver.solve(problem._replace(W=W, w=w))
+        solver.solve(problem.replaced(W=W, w=w))
     assert "row1" in caught.value.rows
     assert solver.solve(problem).residuals(problem).largest < 1e-7  # the next problem is solved
 
@@ -107,7 +107,7 @@ def test_without_clarabel_scipy_solves(monkeypatch, caplog):
     W, w = problem.W.copy(), problem.w.copy()
     W[3], w[3] = -W[2], 5.0 - w[2]
     with pytest.raises(QPError, match="row2"):
-        solver.solve(problem._replace(W=W, w=w))
+        solver.solve(problem.replaced(W=W, w=w))
     assert solver.fallbacks == 1
 
 
@@ -120,7 +120,7 @@ def test_nan_in_a_problem_is_an_error(name):
         array = getattr(problem, key).copy()
         array.flat[-1] = np.nan
         with pytest.raises(QPError) as caught:
-            SOLVERS[name]().solve(problem._replace(**{key: array}))
+            SOLVERS[name]().solve(problem.replaced(**{key: array}))
         assert caught.value.status == "NotFinite"
 
 

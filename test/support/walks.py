@@ -36,7 +36,7 @@ def problem_of(
     H: Array, c: Array, E: Array, e: Array, G: Array, h: Array, lower: Array, upper: Array, names: tuple[str, ...] = ()
 ) -> Problem:
     """The problem with the equalities E u = e and the inequalities G u >= h."""
-    return Problem(H, c, np.concatenate([E, G]), np.concatenate([e, h]), lower, upper, len(e), names)
+    return Problem.of(H, c, np.concatenate([E, G]), np.concatenate([e, h]), lower, upper, len(e), names)
 
 
 def values(item: Quantity, kin: Kinematics, elapsed: float = np.inf) -> tuple[Array, Array]:

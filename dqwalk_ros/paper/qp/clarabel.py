@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.paper.qp.least_distance import Posed, answer, pose, unsolved
-from dqwalk_ros.paper.qp.problem import Numbers, Problem, Solution, check, check_finite, scale
+from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, check, check_finite, parts, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import QPError
@@ -25,11 +25,11 @@ _RETRY = ("NotOptimal", "Violated", "AlmostSolved", "InsufficientProgress", "Num
 
 
 @jit
-def _nearby(numbers: Numbers) -> tuple[float, float, NDArray[np.int64]]:
+def _nearby(numbers: Array, shape: Shape) -> tuple[float, float, NDArray[np.int64]]:
     """Return s, curvature, and the indices of the inequalities near u = 0, at least that of the nearest one."""
-    _, _, _, w, lower, upper, l = numbers  # noqa: E741
-    s, curvature = scale(numbers)
-    slack = np.concatenate((-w[l:], upper, -lower)) / s
+    _, _, _, w, lower, upper = parts(numbers, shape)
+    s, curvature = scale(numbers, shape)
+    slack = np.concatenate((-w[shape[1] :], upper, -lower)) / s
     return s, curvature, np.flatnonzero(slack <= max(_OMIT_BEYOND, slack.min()))
 
 
@@ -60,7 +60,7 @@ class ClarabelSolver:
         QPError
             If there is no solution, or Clarabel's result does not fulfil the optimality conditions.
         """
-        s, curvature, near = _nearby(problem.numbers)
+        s, curvature, near = _nearby(problem.numbers, problem.shape)
         check_finite(s, curvature)
         n, _, m = problem.shape
         if 2 * len(near) <= m + 2 * n:
@@ -86,13 +86,13 @@ class ClarabelSolver:
         program = self._programs.get(key)
         if program is None:
             program = self._programs[key] = _ClarabelProgram(n, l, len(chosen), careful=careful)
-        if not pose(problem.numbers, s, curvature, chosen, program.posed):
+        if not pose(*problem[:2], s, curvature, chosen, program.posed):
             raise QPError("the Hessian is not positive definite", status="NotConvex")
         found, spent = program.solve()
         status, t, y = str(found.status), np.array(found.x), np.array(found.z)
         u, z = np.empty(n), np.zeros(l + m + 2 * n)
         if status == "Solved" or (careful and status in _RETRY):  # what passes the check is a solution
-            residuals = answer(problem.numbers, s, curvature, chosen, program.posed, t, y, u, z)
+            residuals = answer(*problem[:2], s, curvature, chosen, program.posed, t, y, u, z)
             try:
                 check(problem, *residuals)
                 return Solution(u, z, found.iterations, spent)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.paper.qp.problem import Problem, Solution, Solver, check, check_finite, kkt, scale
+from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, Solver, check, check_finite, kkt, parts, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError, QPError, how_to_install
@@ -19,39 +19,39 @@ EQUALITY = 5
 """DAQP's code of an equality."""
 NO_BOUND = 1e30
 """DAQP ignores bounds of this size and larger."""
+_FAILED: Any = None, None, 0, None
+"""Result of a problem that DAQP does not accept."""
 
 
 @jit
-def _posed(
-    H: Array, c: Array, W: Array, w: Array, lower: Array, upper: Array, l: int,  # noqa: E741
-    H_out: Array, c_out: Array, A: Array, high: Array, low: Array,
-) -> tuple[float, float]:  # fmt: skip
-    """Fill DAQP's H, c, A, high and low of low <= [v; A v] <= high, with A = W; return s and the mean curvature.
-
-    The first arguments are the `Numbers` of the problem.
-    """
-    s, curvature = scale((H, c, W, w, lower, upper, l))
-    n = c.shape[0]
-    H_out[:], c_out[:], A[:] = H / curvature, c / (s * curvature), W
-    high[:n], high[n : n + l], high[n + l :] = upper / s, w[:l] / s, NO_BOUND
-    low[:n], low[n:] = lower / s, w / s
+def _pose(numbers: Array, shape: Shape, H: Array, c: Array, A: Array, high: Array, low: Array) -> tuple[float, float]:
+    """Fill DAQP's H, c, A, high and low of low <= [v; A v] <= high, with A = W; return s and the mean curvature."""
+    unscaled_H, unscaled_c, A[:], w, lower, upper = parts(numbers, shape)
+    s, curvature = scale(numbers, shape)
+    n, l, _ = shape  # noqa: E741
+    np.divide(unscaled_H, curvature, H)
+    np.divide(unscaled_c, s * curvature, c)
+    np.divide(lower, s, low[:n])
+    np.divide(w, s, low[n:])
+    np.divide(upper, s, high[:n])
+    high[n : n + l], high[n + l :] = low[n : n + l], NO_BOUND
     return s, curvature
 
 
 @jit
 def _answer(
-    H: Array, c: Array, W: Array, w: Array, lower: Array, upper: Array, l: int,  # noqa: E741
-    s: float, curvature: float, v: Array, lam: Array, u: Array, z: Array,
-) -> tuple[float, float, float, float, int]:  # fmt: skip
-    """Fill u and z with DAQP's v and lam, unscaled; return their residuals (see `kkt`).
+    numbers: Array, shape: Shape, s: float, curvature: float, u: Array, lam: Array, z: Array
+) -> tuple[float, float, float, float, int]:
+    """Scale DAQP's u back, and fill z with its lam; return their residuals (see `kkt`).
 
     DAQP's multiplier of a row at its lower bound is negative.
     """
-    n, k, force = c.shape[0], w.shape[0], s * curvature
-    u[:] = s * v
+    n, l, m = shape  # noqa: E741
+    k, force = l + m, s * curvature
+    u *= s
     z[:l], z[l:k] = force * lam[n : n + l], -force * lam[n + l :]
     z[k : k + n], z[k + n :] = np.maximum(force * lam[:n], 0.0), np.maximum(-force * lam[:n], 0.0)
-    residuals: tuple[float, float, float, float, int] = kkt((H, c, W, w, lower, upper, l), u, z, s, curvature)
+    residuals: tuple[float, float, float, float, int] = kkt(numbers, shape, u, z, s, curvature)
     return residuals
 
 
@@ -87,7 +87,7 @@ class DaqpSolver:
             why = f"qp.solver is daqp, which is not installed: {how}, or --set qp.solver=clarabel"
             raise ConfigError(why) from error
         self._make_model = daqp.Model
-        self._models: dict[tuple[int, int, int], tuple[Any, tuple[Array, ...]]] = {}
+        self._models: dict[Shape, tuple[Any, tuple[Array, ...]]] = {}
         self._fallback = fallback
         self.fallbacks = 0
 
@@ -99,29 +99,28 @@ class DaqpSolver:
         QPError
             If there is no solution; the rows in conflict are named.
         """
-        n, l, m = shape = problem.shape  # noqa: E741
-        k = l + m
-        kept = self._models.get(shape)
+        shape = n, l, m = problem.shape  # noqa: E741
+        k, kept = l + m, self._models.get(shape)
         posed = kept[1] if kept else (np.empty((n, n)), np.empty(n), np.empty((k, n)), np.empty(n + k), np.empty(n + k))
-        s, curvature = _posed(*problem.numbers, *posed)
+        s, curvature = _pose(problem.numbers, shape, *posed)
         check_finite(s, curvature)
         began = time.perf_counter()
         try:
             if kept and k:  # it cannot update a problem that has bounds only
                 model = kept[0]
-                updated = model.update(*posed) >= 0
+                updated = model.update(*posed[:2]) >= 0  # and all that depends on H and c: it reads the other arrays
             else:
                 model, updated = self._make_model(), True
-                sense = np.zeros(n + l + m, dtype=np.int32)
+                sense = np.zeros(n + k, dtype=np.int32)
                 sense[n : n + l] = EQUALITY
                 model.setup(*posed, sense)
                 model.settings = {"primal_tol": 1e-11, "dual_tol": 1e-12}
-                self._models[shape] = model, posed  # the model reads these arrays
-            v, _, flag, info = model.solve() if updated else (None, None, 0, None)
+                self._models[shape] = model, posed
+            u, _, flag, info = model.solve() if updated else _FAILED
             spent = time.perf_counter() - began
-            if flag == 1 and info is not None:
-                u, z = np.empty(n), np.empty(k + 2 * n)
-                check(problem, *_answer(*problem.numbers, s, curvature, v, info["lam"], u, z))
+            if flag == 1:
+                z = np.empty(k + 2 * n)
+                check(problem, *_answer(problem.numbers, shape, s, curvature, u, info["lam"], z))
                 return Solution(u, z, info["iterations"], spent)
         except (QPError, RuntimeError):  # DAQP's own error is that a Hessian is not positive definite
             pass

@@ -129,5 +129,5 @@ def lead_back(problem: Problem) -> tuple[Problem, float]:
     if t < _LEAST_FRACTION:
         raise QPError("there is no way back inside the constraints", status="NoWayBack", rows=())
     w = np.concatenate([t * problem.e, satisfied + t * wanted])
-    relaxed = problem._replace(w=w, lower=low + t * rise, upper=high + t * fall)
+    relaxed = problem.replaced(w=w, lower=low + t * rise, upper=high + t * fall)
     return relaxed, t

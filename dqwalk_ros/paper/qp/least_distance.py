@@ -12,7 +12,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.paper.qp.problem import Numbers, Problem, Solution, check, check_finite, kkt, scale
+from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, check, check_finite, kkt, parts, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import QPError
@@ -27,16 +27,16 @@ _NEAREST = 1e-12
 
 
 @jit
-def pose(numbers: Numbers, s: float, curvature: float, chosen: NDArray[np.int64], posed: Posed) -> bool:
+def pose(numbers: Array, shape: Shape, s: float, curvature: float, chosen: NDArray[np.int64], posed: Posed) -> bool:
     """Fill M (n, n), q (n,), A (n, l + k) and b (l + k,) of the least distance; `chosen` are k inequalities.
 
     Return whether the Hessian is positive definite. With its Cholesky factor L, M = L^-1 and q = M c, all scaled, the
     variables v = M'(t - q) make the objective 1/2 t't, subject to A't + slack = b. The slack of the equalities, which
     come first, is zero, that of the inequalities is not negative.
     """
-    H, c, W, w, lower, upper, l = numbers  # noqa: E741
-    M, q, A, b = posed
-    n, k, m = c.shape[0], chosen.shape[0], w.shape[0] - l
+    H, c, W, w, lower, upper = parts(numbers, shape)
+    (n, l, m), (M, q, A, b) = shape, posed  # noqa: E741
+    k = chosen.shape[0]
     rows = np.zeros((n, l + k))
     rows[:, :l], b[:l] = W[:l].T, w[:l] / s
     for j in range(k):
@@ -84,16 +84,16 @@ def _invert_factor(H: Array, M: Array) -> bool:
 
 @jit
 def answer(
-    numbers: Numbers, s: float, curvature: float, chosen: NDArray[np.int64], posed: Posed, t: Array, y: Array,
-    u: Array, z: Array,
+    numbers: Array, shape: Shape, s: float, curvature: float, chosen: NDArray[np.int64], posed: Posed, t: Array,
+    y: Array, u: Array, z: Array,
 ) -> tuple[float, float, float, float, int]:  # fmt: skip
     """Fill u and z with the primal and dual solution t and y, unscaled; return their residuals (see `kkt`)."""
-    (M, q, _, _), l = posed, numbers[6]  # noqa: E741
+    (M, q, _, _), l = posed, shape[1]  # noqa: E741
     u[:], z[:] = s * ((t - q) @ M), 0.0
     z[:l] = s * curvature * y[:l]
     for k in range(chosen.shape[0]):
         z[l + chosen[k]] = s * curvature * y[l + k]
-    residuals: tuple[float, float, float, float, int] = kkt(numbers, u, z, s, curvature)
+    residuals: tuple[float, float, float, float, int] = kkt(numbers, shape, u, z, s, curvature)
     return residuals
 
 
@@ -130,11 +130,11 @@ class NnlsSolver:
             If there is no solution, or the result does not fulfil the optimality conditions.
         """
         n, l, m = problem.shape  # noqa: E741
-        s, curvature = scale(problem.numbers)
+        s, curvature = scale(*problem[:2])
         check_finite(s, curvature)
         rows = np.arange(m + 2 * n)
         posed = np.empty((n, n)), np.empty(n), np.empty((n, l + len(rows))), np.empty(l + len(rows))
-        if not pose(problem.numbers, s, curvature, rows, posed):
+        if not pose(*problem[:2], s, curvature, rows, posed):
             raise QPError("the Hessian is not positive definite", status="NotConvex")
         began = time.perf_counter()
         below = np.vstack(posed[2:])
@@ -151,5 +151,5 @@ class NnlsSolver:
             raise unsolved(problem, "Infeasible", y)
         spent = time.perf_counter() - began
         u, z = np.empty(n), np.empty(l + len(rows))
-        check(problem, *answer(problem.numbers, s, curvature, rows, posed, -r[:n] / r[n], y / r[n], u, z))
+        check(problem, *answer(*problem[:2], s, curvature, rows, posed, -r[:n] / r[n], y / r[n], u, z))
         return Solution(u, z, int(np.count_nonzero(y)), spent)

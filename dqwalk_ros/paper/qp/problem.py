@@ -12,24 +12,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.compiled import jit, times
 from dqwalk_ros.support.errors import QPError
 
 __all__ = [
-    "Numbers",
     "Problem",
     "Residuals",
+    "Shape",
     "Solution",
     "Solver",
     "check",
     "check_finite",
     "kkt",
     "objective",
+    "parts",
     "scale",
 ]
 
@@ -56,14 +57,30 @@ def objective(J: Array, rate: Array, damping: float, H: Array, c: Array) -> None
         lambda.
     H, c : ndarray, shapes (n, n) and (n,)
     """
-    H[:] = J.T @ J  # (U6)
+    np.dot(J.T, J, H)  # (U6)
     for i in range(H.shape[0]):
         H[i, i] += damping**2
     c[:] = -(rate @ J)
 
 
-Numbers = tuple[Array, Array, Array, Array, Array, Array, int]
-"""H, c, W, w, lower, upper and the number of equalities of a `Problem`."""
+Shape = tuple[int, int, int]
+"""n, number of equalities l, and number of inequalities m of a `Problem`."""
+Parts = tuple[Array, Array, Array, Array, Array, Array]
+"""H, c, W, w, lower and upper of a `Problem`."""
+
+
+def _parts(numbers: Array, shape: Shape) -> Parts:
+    """Return the parts of the numbers of a `Problem`, in the same memory."""
+    n, k = shape[0], shape[1] + shape[2]
+    bounds = k * (n + 1)
+    square = bounds + 2 * n
+    end = square + n * n
+    H, c = numbers[square:end].reshape((n, n)), numbers[end:]
+    W, w = numbers[: k * n].reshape((k, n)), numbers[k * n : bounds]
+    return H, c, W, w, numbers[bounds : bounds + n], numbers[bounds + n : square]
+
+
+parts = jit(_parts)
 
 
 class Problem(NamedTuple):
@@ -71,58 +88,92 @@ class Problem(NamedTuple):
 
     Attributes
     ----------
-    H : ndarray, shape (n, n)
-        J'J + lambda^2 I of (U6); positive definite.
-    c : ndarray, shape (n,)
-        eta J'x of (U6).
-    W, w : ndarray, shapes (l + m, n), (l + m,)
-        E above G, e above h: W_eq and w_eq of (U6), then its -W and -w without the joint limits.
-    lower, upper : ndarray, shape (n,)
-        Bounds of u by the joint limits (U12) and (U13) and by the largest velocities [rad/s].
-    equalities : int
-        Number of equality rows, l.
+    numbers : ndarray
+        W, w, lower, upper, H and c one after another, because compiled functions read one array faster than six.
+    shape : tuple of int
+        n, number of equalities l, and number of inequalities m.
     names : tuple of str
         Names of the rows: equalities, inequalities, upper and lower limits.
     """
 
-    H: Array
-    c: Array
-    W: Array
-    w: Array
-    lower: Array
-    upper: Array
-    equalities: int = 0
+    numbers: Array
+    shape: Shape
     names: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, H: Array, c: Array, W: Array, w: Array, lower: Array, upper: Array, equalities: int = 0,
+        names: tuple[str, ...] = (),
+    ) -> Self:  # fmt: skip
+        """Return the problem of these parts, which are copied."""
+        numbers = np.concatenate([*map(np.ravel, (W, w, lower, upper, H, c))])
+        return cls(numbers, (len(c), equalities, len(w) - equalities), names)
+
+    @classmethod
+    def empty(cls, shape: Shape, names: tuple[str, ...]) -> Self:
+        """Return a problem whose numbers are not filled in yet."""
+        n, l, m = shape  # noqa: E741
+        return cls(np.empty((l + m) * (n + 1) + n * (n + 3)), shape, names)
+
+    def replaced(self, *, names: tuple[str, ...] | None = None, **changes: Array) -> Self:
+        """Return the problem with other parts, by their names."""
+        kept = dict(zip(("H", "c", "W", "w", "lower", "upper"), self.parts, strict=True))
+        return self.of(**kept | changes, equalities=self.shape[1], names=self.names if names is None else names)
+
+    @property
+    def parts(self) -> Parts:
+        """H, c, W, w, lower and upper, in the same memory."""
+        return _parts(self.numbers, self.shape)
+
+    @property
+    def H(self) -> Array:
+        """J'J + lambda^2 I of (U6), shape (n, n); positive definite."""
+        return self.parts[0]
+
+    @property
+    def c(self) -> Array:
+        """Linear part of the objective: eta J'x of (U6), shape (n,)."""
+        return self.parts[1]
+
+    @property
+    def W(self) -> Array:
+        """E above G: W_eq of (U6), then its -W without the joint limits, shape (l + m, n)."""
+        return self.parts[2]
+
+    @property
+    def w(self) -> Array:
+        """The right-hand sides e above h: w_eq of (U6), then its -w, shape (l + m,)."""
+        return self.parts[3]
+
+    @property
+    def lower(self) -> Array:
+        """Bound of u by the joint limits (U13) and the largest velocities, shape (n,) [rad/s]."""
+        return self.parts[4]
+
+    @property
+    def upper(self) -> Array:
+        """Bound of u by the joint limits (U12) and the largest velocities, shape (n,) [rad/s]."""
+        return self.parts[5]
 
     @property
     def E(self) -> Array:
         """W_eq, shape (l, n)."""
-        return self.W[: self.equalities]
+        return self.W[: self.shape[1]]
 
     @property
     def e(self) -> Array:
         """w_eq, shape (l,)."""
-        return self.w[: self.equalities]
+        return self.w[: self.shape[1]]
 
     @property
     def G(self) -> Array:
         """Rows of the inequalities, shape (m, n)."""
-        return self.W[self.equalities :]
+        return self.W[self.shape[1] :]
 
     @property
     def h(self) -> Array:
         """Right-hand sides of the inequalities, shape (m,)."""
-        return self.w[self.equalities :]
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """n, number of equalities, number of inequalities."""
-        return self.c.shape[0], self.equalities, self.w.shape[0] - self.equalities
-
-    @property
-    def numbers(self) -> Numbers:
-        """All but the names, as compiled functions take them: numba reads a plain tuple faster than a named one."""
-        return self[:7]
+        return self.w[self.shape[1] :]
 
 
 @dataclass(frozen=True)
@@ -182,8 +233,8 @@ class Solution:
 
     def residuals(self, problem: Problem) -> Residuals:
         """Return the residuals of the Karush-Kuhn-Tucker conditions."""
-        s, curvature = scale(problem.numbers)
-        return Residuals(*kkt(problem.numbers, self.u, self.z, s, curvature))
+        given = problem[:2]
+        return Residuals(*kkt(*given, self.u, self.z, *scale(*given)))
 
 
 class Solver(Protocol):
@@ -199,45 +250,47 @@ class Solver(Protocol):
 
 
 @jit
-def scale(numbers: Numbers) -> tuple[float, float]:
+def scale(numbers: Array, shape: Shape) -> tuple[float, float]:
     """Return the scale s and the mean curvature of a problem; s is nan if any of its numbers is not finite."""
-    H, c, W, w, lower, upper, equalities = numbers
+    H, c, _, w, lower, upper = parts(numbers, shape)
     curvature, required = np.trace(H) / c.shape[0], 0.0  # the longest step that a row requires
     for k in range(w.shape[0]):
-        required = max(required, abs(w[k]) if k < equalities else w[k])
+        required = max(required, abs(w[k]) if k < shape[1] else w[k])
     for i in range(c.shape[0]):
         required = max(required, lower[i], -upper[i])
     s = max(math.sqrt(c @ c) / curvature, required)
-    if not math.isfinite(H.sum() + W.sum() + w.sum() + lower.sum() + upper.sum() + c.sum()):
+    if not math.isfinite(numbers.sum()):
         return math.nan, curvature
     return max(s, LEAST_SCALE), curvature
 
 
 @jit
-def kkt(numbers: Numbers, u: Array, z: Array, s: float, curvature: float) -> tuple[float, float, float, float, int]:
+def kkt(
+    numbers: Array, shape: Shape, u: Array, z: Array, s: float, curvature: float
+) -> tuple[float, float, float, float, int]:
     """Return stationarity, primal, dual, complementarity (see `Residuals`) and the row with the largest violation.
 
     `u` (n,) is the solution, and `z` (k + 2 n,) are the multipliers of the rows, the upper and the lower bounds. In the
     complementarity the slack is scaled like the violations, and limited to one gradient step.
     """
-    H, c, W, w, lower, upper, l = numbers  # noqa: E741
-    k, n = w.shape[0], c.shape[0]
+    H, c, W, w, lower, upper = parts(numbers, shape)
+    n, l, m = shape  # noqa: E741
+    k = l + m
     signed = z[:k].copy()
     signed[l:] *= -1.0
-    gradient = H @ u + c + signed @ W + z[k : k + n] - z[k + n :]
+    gradient = times(H, u) + c + times(W.T, signed) + z[k : k + n] - z[k + n :]
+    slack = np.concatenate((times(W, u) - w, upper - u, u - lower))
     force = max(s * curvature, np.abs(z).max())
     primal, row, dual, complementarity = 0.0, -1, 0.0, 0.0
-    for i in range(l):
-        error = abs(W[i] @ u - w[i]) / s
-        if not error <= primal:
-            primal, row = error, i
-    slack = np.concatenate((W[l:] @ u - w[l:], upper - u, u - lower)) / s
-    for i in range(slack.shape[0]):
-        multiplier = z[l + i] / force
-        if not -slack[i] <= primal:
-            primal, row = -slack[i], l + i
-        dual = max(dual, -multiplier)
-        complementarity = max(complementarity, abs(multiplier) * min(abs(slack[i]), 1.0))
+    for i in range(k + 2 * n):
+        violation, multiplier = -slack[i] / s, z[i] / force
+        if i < l:
+            violation = abs(violation)
+        else:
+            dual = max(dual, -multiplier)
+            complementarity = max(complementarity, abs(multiplier) * min(abs(violation), 1.0))
+        if not violation <= primal:
+            primal, row = violation, i
     return np.abs(gradient).max() / force, primal, dual, complementarity, row
 
 

@@ -1,0 +1,61 @@
+"""Records that compiled functions take by their address."""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pytest
+
+from dqwalk_ros.support.compiled import INTEGERS, MASK, MATRIX, VECTOR, Record, jit
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="then a record is its own table")
+
+
+class Inner(NamedTuple):
+    """A record within another one."""
+
+    indices: np.ndarray
+    chosen: np.ndarray
+
+
+class Outer(NamedTuple):
+    """Arrays of other types and dimensions."""
+
+    b: np.ndarray
+    inner: Inner
+    A: np.ndarray
+
+
+RECORD = Record(Outer, VECTOR, Record(Inner, INTEGERS, MASK), MATRIX)
+opened = RECORD.opened
+
+
+@jit
+def doubled(table):
+    """Double what is chosen of A, and return b, and the sum of the indices."""
+    b, (indices, chosen), A = opened(table)
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            if chosen[i, j]:
+                A[i, j] *= 2.0
+    return b.copy(), indices.sum()
+
+
+def outer():
+    """A record."""
+    chosen = np.array([[True, False, False], [False, False, True]])
+    return Outer(np.array([1.0, 2.0]), Inner(np.array([3, 4, 5]), chosen), np.arange(6.0).reshape(2, 3) + 1.0)
+
+
+def test_a_compiled_function_works_in_the_memory_of_a_record():
+    record = outer()
+    b, total = doubled(RECORD.table(record))
+    np.testing.assert_array_equal(b, record.b)
+    assert total == 12
+    np.testing.assert_array_equal(record.A, [[2.0, 2.0, 3.0], [4.0, 5.0, 12.0]])
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((3, 2)).T, np.zeros((2, 3), dtype=np.float32), np.zeros(6)])
+def test_an_array_of_another_type_has_no_address(wrong):
+    with pytest.raises(TypeError, match="an array of Outer is"):
+        RECORD.table(outer()._replace(A=wrong))
