@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dqwalk_ros.plants.table import PLANTS, entry
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError, unexpanded
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -107,6 +107,8 @@ class Place(click.Path):
         """Return the path."""
         if value == "":
             self.fail("it is empty", param, ctx)
+        if isinstance(value, str) and (why := unexpanded(value)):
+            self.fail(f"'{value}': {why}", param, ctx)
         return super().convert(value, param, ctx)
 
 

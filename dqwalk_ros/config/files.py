@@ -76,8 +76,11 @@ def find_file(what: str, source: str | os.PathLike[str], folder: str, names: Seq
         If it is neither.
     """
     path = pathlib.Path(source)
-    if path.is_file():
-        return path
+    try:
+        if path.is_file():
+            return path
+    except OSError as error:  # a folder that may not be searched, a name that is too long
+        raise ConfigError(f"cannot read the {what} '{path}': {error.strerror}") from error
     if str(source) in names and not os.path.lexists(path):
         return find_share(folder, path.name if path.suffix else f"{path}.yaml")
     if not str(source).strip():

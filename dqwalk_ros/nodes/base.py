@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -28,7 +29,7 @@ from rclpy.timer import Timer
 from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
-from dqwalk_ros.support.errors import ConfigError, DqwalkError
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, one_line
 from dqwalk_ros.support.interrupts import end_with
 from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS
@@ -329,8 +330,8 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
         made.refuse_a_second()
         wheels.spin(made, lambda: (signals or made.done.done()) and made.is_drained(), pause=made.pause)
         code = 0
-    except DqwalkError as error:
-        print(f"{options.argv[0]}: {error}", file=sys.stderr)
+    except (DqwalkError, NameValidationException) as error:  # the name of a topic may be a parameter
+        print(f"{options.argv[0]}: {one_line(str(error))}", file=sys.stderr)
         code = 2
     finally:
         try:

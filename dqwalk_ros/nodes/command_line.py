@@ -20,7 +20,7 @@ from pathlib import Path
 
 from dqwalk_ros.config import Config, Spec
 from dqwalk_ros.plants.table import defaults_of
-from dqwalk_ros.support.errors import ConfigError, not_imported
+from dqwalk_ros.support.errors import ConfigError, not_imported, unexpanded
 from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
@@ -73,7 +73,9 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
         "--child", action="store_true", help="for programs: print progress as lines of JSON, stop with the parent"
     )
     if name == "recorder":
-        parser.add_argument("--bag", metavar="DIR", required=True, help="folder to create; it must not exist yet")
+        parser.add_argument(
+            "--bag", metavar="DIR", type=_new, required=True, help="folder to create; it must not exist yet"
+        )
     if name == "pilot":
         parser.add_argument(
             "--cmd-vel", metavar="X,Y,TURN,S", action="append", required=True,
@@ -89,6 +91,13 @@ def parse(name: str, argv: Sequence[str]) -> argparse.Namespace:
     options = parser.parse_args(own)
     options.argv = [name, *argv]
     return options
+
+
+def _new(folder: str) -> str:
+    """Return the name of a folder to be created."""
+    if why := unexpanded(folder) or ("" if folder else "it is empty"):
+        raise argparse.ArgumentTypeError(f"'{folder}': {why}")
+    return folder
 
 
 def _epilog(name: str) -> str:

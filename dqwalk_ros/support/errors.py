@@ -28,6 +28,7 @@ __all__ = [
     "one_line",
     "printable",
     "shown",
+    "unexpanded",
 ]
 
 
@@ -67,9 +68,14 @@ def missing(what: str, path: Path) -> str:
         return f"'{path}' is a pipe or a device: write its content into a file"
     if path.is_symlink():
         return f"no {what} '{path}': it is a link that leads nowhere"
-    if str(path).startswith(("~", "$")):
-        return f"no {what} '{path}': no shell has replaced the '{str(path)[0]}'; write the whole path"
-    return f"no {what} '{path}'"
+    why = unexpanded(str(path))
+    return f"no {what} '{path}'{why and f': {why}'}"
+
+
+def unexpanded(path: str) -> str:
+    """Return that a path begins with what a shell replaces at the beginning of a word only; or ""."""
+    begins = path.startswith(("~", "$"))
+    return f"no shell has replaced the '{path[0]}'; write the whole path" if begins else ""
 
 
 def one_line(text: str) -> str:

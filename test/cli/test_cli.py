@@ -63,6 +63,7 @@ def test_help_contains_examples(command, capsys):
         (["simulate", "--cycles", "many"], "'many' is not a valid integer"),
         (["simulate", "--cycels", "1"], "'--cycles'"),
         (["simulate", "--out", ""], "Invalid value for '--out': it is empty"),
+        (["simulate", "--out=~/walk"], "'~/walk': no shell has replaced the '~'; write the whole path"),
         (["adopt", "r.urdf", "--package-path", "nowhere"], "Directory 'nowhere' does not exist"),
         (["report"], "Missing argument 'BAG'; `dqwalk report --help`"),
         (["simulate", "--format", "gif"], "png, pdf or svg"),

@@ -149,6 +149,7 @@ def test_missing_and_unreadable_files(tmp_path):
         ("~/mine.yaml", r"no configuration '~/mine.yaml': no shell has replaced the '~'; write the whole path$"),
         ("papre", r"no configuration 'papre': neither a file nor one of paper"),
         (" ", "the name of the configuration is empty"),
+        ("a" * 300, "cannot read the configuration 'a+': File name too long"),
     ):
         with pytest.raises(ConfigError, match=expected):
             load(source)

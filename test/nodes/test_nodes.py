@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from dqwalk_ros.cli.runner import environment, private_domain, run_walk
 from dqwalk_ros.config import load, to_yaml
 from dqwalk_ros.nodes import command_line
-from dqwalk_ros.nodes.command_line import NODES
+from dqwalk_ros.nodes.command_line import NODES, parse
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
@@ -354,12 +354,19 @@ def test_a_later_value_of_another_type_is_not_ignored(tmp_path: Path) -> None:
     check_types({"dt": 0.01, "gait.step_length": 1e30}, ["-p", "dt:=0.01", "-p", "gait.step_length:=1e30"], names)
 
 
-def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "body", "expected"),
+    [
+        ("controller", "gait: {step_lenght: 0.04}", "did you mean 'gait.step_length'"),
+        ("drive", "output: {topic: 'a b'}", "drive: Invalid topic name"),
+    ],
+)
+def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path, name: str, body: str, expected: str) -> None:
     file = tmp_path / "params.yaml"
-    file.write_text("/**: {ros__parameters: {gait: {step_lenght: 0.04}}}")
+    file.write_text(f"/**: {{ros__parameters: {{{body}}}}}")
     with private_domain() as domain:
         done = subprocess.run(
-            [sys.executable, "-m", "dqwalk_ros.nodes", "controller", "--ros-args", "--params-file", str(file)],
+            [sys.executable, "-m", "dqwalk_ros.nodes", name, "--ros-args", "--params-file", str(file)],
             env=environment(domain),
             capture_output=True,
             text=True,
@@ -367,14 +374,22 @@ def test_invalid_parameters_end_a_node_with_exit_code_2(tmp_path: Path) -> None:
             check=False,
         )
     assert done.returncode == 2, done.stderr
-    assert "did you mean 'gait.step_length'" in done.stderr
+    assert expected in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(("folder", "why"), [("", "it is empty"), ("~/walk", "no shell has replaced the '~'")])
+def test_a_recording_is_made_where_it_was_meant(folder: str, why: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """No shell replaces the '~' of ``bag:=~/walk``, nor does launch."""
+    with pytest.raises(SystemExit, match="2"):
+        parse("recorder", ["--bag", folder])
+    assert f"argument --bag: '{folder}': {why}" in capsys.readouterr().err
 
 
 def test_help_of_every_node_works_without_ros() -> None:
     code = (
         "import sys; sys.modules['rclpy'] = None\n"
-        "from dqwalk_ros.nodes.command_line import NODES, script\n"
+        "from dqwalk_ros.nodes.command_line import NODES, parse, script\n"
         "for name in NODES:\n"
         "    sys.argv = [f'bin/dqwalk_{name}', '--help']\n"
         "    try: script()\n"
