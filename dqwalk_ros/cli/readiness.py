@@ -40,6 +40,8 @@ _UPRIGHT = math.radians(10.0)
 """Largest inclination of the inertial sensor of a robot that stands [rad]."""
 _STILL, _PULL = 0.05, 0.6
 """Largest angular velocity at rest [rad/s], and largest deviation of the acceleration from gravity [m/s^2]."""
+_LEANED = 0.1
+"""Least change of the vertical that tells something about the gyroscope [rad]."""
 _SLOW = 0.05
 """Longest period of the inertial sensor [s]: with 0.04 s Poppy as it is built walks in MuJoCo, with 0.08 s it falls."""
 _POSTURE = 0.3
@@ -234,17 +236,44 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
     except StateError as error:
         raise Failed(f"{error}: it must estimate an orientation (imu_filter_madgwick)") from error
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
-    lean = math.acos(min(max(float(kin.direction(model.imu, up)[2]), -1.0), 1.0))
-    a = msg.linear_acceleration
-    pull = math.hypot(a.x, a.y, a.z)
-    text = f"leans by {math.degrees(lean):.1f} deg, turns at {np.linalg.norm(gyro):.3f} rad/s, {pull:.2f} m/s^2"
+    back, right, height = kin.direction(model.imu, up)
+    lean = math.acos(min(max(float(height), -1.0), 1.0))
+    where = "back" if back > 0.0 else "ahead", "right" if right > 0.0 else "left"
+    a = np.array([msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z])
+    pull = float(np.linalg.norm(a))
+    text = (
+        f"leans by {math.degrees(lean):.1f} deg ({where[0]} {math.degrees(abs(back)):.1f}, {where[1]} "
+        f"{math.degrees(abs(right)):.1f}), turns at {np.linalg.norm(gyro):.3f} rad/s, {pull:.2f} m/s^2"
+    )
     if lean > FallWatch.upside_down:
         raise Failed(f"{text}: {FallWatch.other_frame}")
+    if (off := math.acos(min(max(float(up @ a) / max(pull, 1e-9), -1.0), 1.0))) > _UPRIGHT and pull > 1.0:
+        raise Failed(
+            f"{text}: its acceleration points {math.degrees(off):.0f} deg away from the vertical of its orientation: "
+            "is that the inverse quaternion, or has it other axes?"
+        )
+    if contradiction := _turns_otherwise(heard):
+        raise Failed(f"{text}: {contradiction}")
     if lean > _UPRIGHT:
         raise Failed(f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is")
     if np.linalg.norm(gyro) > _STILL or abs(pull - GRAVITY) > _PULL:
         raise Failed(f"{text}: at rest it measures {GRAVITY:.2f} m/s^2 and no rotation; calibrate it, check its units")
     return text
+
+
+def _turns_otherwise(heard: Heard) -> str:
+    """Return how the gyroscope contradicts the vertical of a robot that was leaned meanwhile; or ""."""
+    times = 1e-9 * np.array([ros.nanoseconds(msg.header.stamp) for msg, _ in heard.imus])
+    measured = [ros.inertial_of(msg) for msg, _ in heard.imus]
+    up, gyro = (np.array([one[k] for one in measured]) for k in range(2))
+    leaned = float(np.linalg.norm(up[-1] - up[0]))
+    turned = np.linalg.norm(up[-1] - up[0] - np.diff(times) @ np.cross(up, gyro)[:-1])
+    if leaned < _LEANED or turned < 0.5 * leaned:
+        return ""
+    return (
+        f"it was leaned by {math.degrees(leaned):.0f} deg, and its gyroscope is {math.degrees(turned):.0f} deg off: is "
+        "it inverted, in degrees, or of other axes?"
+    )
 
 
 def check_subscribers(config: Config, model: RobotModel, heard: Heard) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from dqwalk_ros.cli.readiness import CHECKS, examine
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.doctor import Doctor, Heard, listen
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.plants.base import Inertial
 from dqwalk_ros.robot.model import load_model
 
@@ -89,6 +91,46 @@ def test_the_latency_of_simulated_time_is_unknown() -> None:
     assert latency.text.startswith("unknown: the stamps of the simulation")
 
 
+@pytest.mark.parametrize(
+    ("axis", "sign", "expected"),
+    [
+        (1, 1.0, "(ahead 8.0,"),
+        (1, -1.0, "(back 8.0,"),
+        (0, 1.0, "right 8.0)"),
+        (0, -1.0, "left 8.0)"),
+    ],
+)
+def test_the_direction_in_which_a_robot_is_leaned_is_said(axis: int, sign: float, expected: str) -> None:
+    """Whoever leans it by hand sees whether the sensor is mounted as its link says."""
+    (found,) = (
+        f for f in examine(CONFIG, MODEL, robot(inertial=leaning(axis, sign * 8.0))) if f.what[:8] == "inertial"
+    )
+    assert expected in found.text
+    assert found.ok
+    inverse = replace(leaning(axis, sign * 8.0), orientation=leaning(axis, -sign * 8.0).orientation)
+    assert "points 16 deg away from the vertical" in failed_checks(robot(inertial=inverse))["inertial sensor"]
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1.0, False), (-1.0, True), (0.0, True), (57.3, True)])
+def test_the_gyroscope_of_a_robot_that_is_leaned_is_compared_with_its_vertical(factor: float, named: bool) -> None:
+    heard, imus = robot(), []
+    for k, (msg, at) in enumerate(heard.imus):
+        felt = leaning(1, 9.0 * k / len(heard.imus))
+        rate = math.radians(9.0) / (len(heard.imus) * CONFIG.dt) * np.array([0.0, factor, 0.0])
+        imus.append((ros.imu(ros.nanoseconds(msg.header.stamp), MODEL.imu, replace(felt, gyro=rate)), at))
+    imus[-1] = (ros.imu(ros.nanoseconds(imus[-1][0].header.stamp), MODEL.imu, felt), at)  # it has come to rest
+    found = failed_checks(replace(heard, imus=imus)).get("inertial sensor", "")
+    assert ("it was leaned by 9 deg, and its gyroscope is" in found) is named, found
+
+
+def leaning(axis: int, degrees: float) -> Inertial:
+    """Return what a sensor with the axes of the pelvis measures on a robot that leans about one of them."""
+    half = math.radians(0.5 * degrees)
+    x = DQ(np.array([math.cos(half), *(math.sin(half) * np.eye(3)[axis])]))
+    up = x.conj().rotation_matrix() @ [0.0, 0.0, 9.81]
+    return Inertial(x.vec4(), np.zeros(3), up)
+
+
 def test_the_states_of_a_gripper_are_ignored() -> None:
     heard = robot()
     fingers = [(state(["finger"], [0.1], EPOCH + 0.003 * k), round((EPOCH + 1.0) * 1e9)) for k in range(300)]
@@ -136,7 +178,7 @@ FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     "no imu": (lambda: robot(inertial=None), "inertial sensor", "nothing on imu"),
     "imu elsewhere": (lambda: robot(frame="camera"), "inertial sensor", "they must agree"),
     "imu askew": (
-        lambda: robot(inertial=Inertial(np.array([0.9689, 0.2474, 0.0, 0.0]), np.zeros(3), UPRIGHT.acceleration)),
+        lambda: robot(inertial=leaning(0, 28.6)),
         "inertial sensor",
         "mounted askew",
     ),

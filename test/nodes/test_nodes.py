@@ -389,7 +389,7 @@ def test_a_recording_is_made_where_it_was_meant(folder: str, why: str, capsys: p
 def test_help_of_every_node_works_without_ros() -> None:
     code = (
         "import sys; sys.modules['rclpy'] = None\n"
-        "from dqwalk_ros.nodes.command_line import NODES, parse, script\n"
+        "from dqwalk_ros.nodes.command_line import NODES, script\n"
         "for name in NODES:\n"
         "    sys.argv = [f'bin/dqwalk_{name}', '--help']\n"
         "    try: script()\n"
