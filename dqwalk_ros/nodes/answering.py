@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from dqwalk_ros.config import to_yaml
@@ -23,7 +24,7 @@ from dqwalk_ros.nodes.state_gate import StateGate
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support import provenance
-from dqwalk_ros.support.errors import DqwalkError, QPError, StateError
+from dqwalk_ros.support.errors import DqwalkError, QPError, StateError, listed
 
 __all__ = ["AnsweringNode", "Fields"]
 
@@ -79,6 +80,7 @@ class AnsweringNode(WalkNode):
         self._failures = FaultCounter(config.safety.failures)
         self._plants = DuplicateStates(config.dt)
         self._duplicates = self._slow = ""  # why the robot stands still for now
+        self._others = ""  # of the states before the first one
         self._stale = False
         self._ticks = self._rejected = self._steps = 0
         self._diagnosed = -float("inf")  # [s]
@@ -129,6 +131,16 @@ class AnsweringNode(WalkNode):
             self._end(self._gate.fault)
         elif self._is_time_to_diagnose():
             self._diagnose("ERROR", self._problem or f"{self.states} rejected: {error}")  # the cause of a fall stays
+
+    def _names_none(self, msg: JointState) -> bool:
+        """Return whether a message has no joint of the robot; before the first state it says so."""
+        if not self._reader.is_foreign(msg):
+            return False
+        if self._accepted < 0:
+            have = listed(self._model.joint_names)
+            self._others = f"{self.states} name none of its joints: they name {listed(msg.name)}; it has {have}"
+            self.get_logger().warning(self._others, **throttled(10.0))
+        return True
 
     def _is_new(self, stamp: int) -> bool:
         if self.lockstep:
@@ -220,7 +232,7 @@ class AnsweringNode(WalkNode):
     def _check_timeout(self) -> None:
         """Stop the robot, once, if its states have timed out; in real time only, lockstep has no timeout."""
         if self._stamp < 0 and self._is_time_to_diagnose():
-            self._diagnose("WARN", f"waiting for {self.awaited}")
+            self._diagnose("WARN", f"waiting for {self.awaited}{self._others and f': {self._others}'}")
         if self.lockstep or self._stale or self._stamp < 0 or not self._gate.watchdog.silent:
             return
         self._stale = True

@@ -160,7 +160,7 @@ class Controller(AnsweringNode):
     # ------------------------------------------------------------------ the loop
 
     def _on_state(self, msg: JointState) -> None:
-        if not self._reader.is_foreign(msg):
+        if not self._names_none(msg):
             self._plants.note(msg.name, ros.nanoseconds(msg.header.stamp))
             self._take(msg)
 

@@ -107,6 +107,12 @@ def test_before_the_first_state_it_says_what_it_waits_for(make: Any) -> None:
     walk.one.clock.now += 1.0
     walk.node._check_timeout()
     assert not walk.sent
+    walk.one.send("joint_states", state([f"robot1/{name}" for name in MODEL.joint_names], np.zeros(MODEL.n), 1.0))
+    walk.one.clock.now += 1.0
+    walk.node._check_timeout()
+    expected = "waiting for joint_states: joint_states name none of its joints: they name robot1/l_ankle_y, "
+    assert walk.got["diagnostics"][-1].status[0].message.startswith(expected)
+    assert "joint_states name none of its joints" in walk.one.log
 
 
 @pytest.mark.parametrize("step", [1000.0, -9.0, 1.7e9])

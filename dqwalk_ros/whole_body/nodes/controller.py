@@ -98,7 +98,7 @@ class WholeBodyController(AnsweringNode):
     # ------------------------------------------------------------------ a state in three messages
 
     def _on_joints(self, msg: JointState) -> None:
-        if self._reader.is_foreign(msg):
+        if self._names_none(msg):
             return
         stamp = ros.nanoseconds(msg.header.stamp)
         self._plants.note(msg.name, stamp)
