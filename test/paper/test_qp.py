@@ -104,3 +104,16 @@ def test_a_distant_bound_that_becomes_active_is_respected(far):
     solution = make_solver("clarabel").solve(problem)
     np.testing.assert_allclose(solution.u, exact(problem), rtol=1e-9)
     assert solution.residuals(problem).largest < 1e-9
+
+
+def test_unequal_bounds_that_are_all_far_away_do_not_keep_a_problem_from_being_solved():
+    """Of joints with unequal speed limits at rest: clarabel alone fails at one of nine."""
+    rng, n = np.random.default_rng(0), 6
+    for equalities in (0, 1, 2, 3) * 10:
+        J, E, none = rng.normal(size=(3, n)), rng.normal(size=(equalities, n)), np.empty((0, n))
+        bounds, small = rng.choice([1.0, 2.0, 6.0], n, p=[0.7, 0.15, 0.15]), 1e-6 * rng.normal(size=n + equalities)
+        rows = E, small[n:], none, np.empty(0)
+        names = tuple(map(str, range(equalities + 2 * n)))
+        problem = problem_of(J.T @ J + 1e-3 * np.eye(n), small[:n], *rows, -bounds, bounds, names)
+        solution = make_solver("clarabel").solve(problem)
+        assert solution.residuals(problem).largest < 1e-7

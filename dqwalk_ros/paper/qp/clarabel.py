@@ -70,12 +70,17 @@ class ClarabelSolver:
                 pass
         self.whole += 1
         everything = np.arange(m + 2 * n)
-        try:
-            return self._solved(problem, s, curvature, everything)
-        except QPError as error:
-            if error.status not in _RETRY:
-                raise
-        return self._solved(problem, s, curvature, everything, careful=True)
+        for chosen, careful in ((everything, False), (everything, True)):
+            try:
+                return self._solved(problem, s, curvature, chosen, careful=careful)
+            except QPError as error:
+                if error.status not in _RETRY:
+                    raise
+                failed = error
+        try:  # bounds thousands of steps away, such as those of unequal speed limits, may be what Clarabel fails at
+            return self._solved(problem, s, curvature, near)
+        except QPError:
+            raise failed from None
 
     def _solved(
         self, problem: Problem, s: float, curvature: float, chosen: NDArray[np.int64], *, careful: bool = False
