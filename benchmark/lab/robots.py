@@ -34,7 +34,7 @@ def row(path: Path, out: Path) -> list[Any]:
     began = time.perf_counter()
     found = adopt(path, out)
     *_, (last, cure) = first_walks(found, {})
-    for _ in dynamic_walks(found, {}, last.changes) if last.stood else ():
+    for _ in dynamic_walks(found, {}, last.changes if last.stood else {}):
         pass  # it writes the best of them
     took = time.perf_counter() - began
     config = load(out / "robot.yaml")

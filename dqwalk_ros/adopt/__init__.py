@@ -30,6 +30,7 @@ from dqwalk_ros.adopt.mjcf import MjcfDrive, is_mjcf, load_mjcf
 from dqwalk_ros.adopt.parameters import (
     ASSUMED,
     HEAVY_LEGS,
+    LEAST,
     LONGEST,
     Numbers,
     assumed,
@@ -65,8 +66,6 @@ _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""
 _ALIGNED = 1e-6
 """Largest angle between the axes of the pelvis or the root and those of the robot that counts as none [rad]."""
-_SHORTEST = 0.01
-"""Length of a step, as a fraction of the leg, below which a robot does not walk."""
 _OVER = 0.1
 """Largest distance of the CoM from the middle of a sole that it can reach, as a part of that at which phases end."""
 _LONG = 0.66
@@ -101,7 +100,7 @@ class Adoption:
     repairs : tuple of str
         Repairs of the robot description.
     findings : tuple of Finding
-        Problems that `check` found.
+        Why no standing walk is possible, and problems that `check` found.
     """
 
     folder: pathlib.Path
@@ -234,7 +233,8 @@ def _adopted(
     evidence = (*anatomy.evidence, *_mass_evidence(numbers), *driven, *_missing_evidence(shapes))
     found = Adoption(
         folder, config, model, anatomy, numbers, tuple(entries), evidence,
-        tuple(dict.fromkeys((*urdf.repairs, *model.repairs))), tuple(check(config, model)),
+        tuple(dict.fromkeys((*urdf.repairs, *model.repairs))),
+        (*([Finding(numbers.hindrance, "")] if numbers.hindrance else []), *check(config, model)),
     )  # fmt: skip
     write_text(folder / "adopt.json", json.dumps(_json(found, path), indent=1) + "\n", overwrite=overwrite)
     return found
@@ -319,9 +319,9 @@ def _numbers(model: RobotModel, anatomy: Anatomy) -> Numbers:
     Raises
     ------
     ModelError
-        If the robot cannot stand on either foot, or cannot step.
+        If the robot cannot stand on both feet.
     """
-    problem, possible = None, list[tuple[bool, float, Numbers]]()
+    problem, possible = None, list[tuple[bool, bool, float, Numbers]]()
     wide, *closer = distances(anatomy)
     for apart in (wide, *closer):
         why = "closer than in the zero posture, where joints are at their limits"
@@ -335,9 +335,9 @@ def _numbers(model: RobotModel, anatomy: Anatomy) -> Numbers:
         over = deviation < _OVER * com_threshold(anatomy.leg)
         if over and numbers.step > _LONG * LONGEST * anatomy.leg:
             return numbers
-        possible.append((over, numbers.step if over else -deviation, numbers))
+        possible.append((not numbers.hindrance, over, numbers.step if over else -deviation, numbers))
     if possible:
-        return max(possible, key=lambda one: one[:2])[2]
+        return max(possible, key=lambda one: one[:3])[3]
     assert problem is not None
     raise problem
 
@@ -350,19 +350,20 @@ def _standing(model: RobotModel, anatomy: Anatomy) -> tuple[Numbers, float]:
     if deviation > most:  # a walk itself keeps no distance from the limits
         free = replace(standing, margin=0.0)
         worst = max((over_one_foot(model, anatomy, free, foot) for foot in Foot), key=lambda one: one.error)
+    numbers = Numbers.of(model, anatomy, standing)
+    hindrance = ""
     if worst.error > most:
-        raise ModelError(
-            f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance "
-            f"from its middle is {1e3 * worst.error:.1f} mm, and a walk lifts the other foot at {1e3 * most:.1f} mm"
+        hindrance = (
+            f"the CoM of this robot cannot be placed over one sole with both feet flat: the least distance from its "
+            f"middle is {1e3 * worst.error:.1f} mm, and a standing walk lifts the other foot at {1e3 * most:.1f} mm"
             f"{why_not(model, anatomy, worst)}"
         )
-    numbers = Numbers.of(model, anatomy, standing)
-    if numbers.step < _SHORTEST * anatomy.leg:
-        raise ModelError(
-            f"the legs reach steps of {1e3 * max(0.0, numbers.reach):.1f} mm only: "
+    elif numbers.reach < LEAST * anatomy.leg:
+        hindrance = (
+            f"with the CoM over one sole the legs reach steps of {1e3 * max(0.0, numbers.reach):.1f} mm only: "
             f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
         )
-    return numbers, deviation
+    return replace(numbers, hindrance=hindrance), deviation
 
 
 def _check_places(path: pathlib.Path, folder: pathlib.Path, *, overwrite: bool) -> None:

@@ -50,6 +50,8 @@ SHORTEST = 1.5
 """Shortest duration of a weight transfer from foot to foot [s]."""
 LONGEST = 0.09
 """Step length of the standing walk as a fraction of the leg."""
+LEAST = 0.01
+"""Length of a step, as a fraction of the leg, below which a robot does not walk."""
 MOST_STEPS = 30
 """Largest number of steps of the standing walk."""
 YIELDING = 0.03
@@ -91,6 +93,8 @@ class Numbers:
         Length of the longest step within the reach of the legs, of those up to `LONGEST` legs [m].
     stuck : tuple of str
         The joints at a limit in this step.
+    hindrance : str
+        Why no standing walk is possible; empty if one may be.
     """
 
     model: RobotModel
@@ -101,6 +105,7 @@ class Numbers:
     weak: Mapping[str, float]
     reach: float
     stuck: tuple[str, ...]
+    hindrance: str = ""
 
     @classmethod
     def of(cls, model: RobotModel, anatomy: Anatomy, standing: Standing) -> Numbers:
@@ -159,9 +164,10 @@ class Numbers:
 
     @property
     def step(self) -> float:
-        """Step length: 0.09 of a leg, or 0.9 of what the legs reach, in whole millimetres [m]."""
+        """Step length: 0.09 of a leg, or 0.9 of what the legs reach, in whole millimetres, or else `LEAST` legs [m]."""
         length = LONGEST * self.anatomy.leg
-        return math.floor((length if self.reach > 0.99 * length else 0.9 * self.reach) * 1e3 + 1e-6) / 1e3
+        reached = length if self.reach > 0.99 * length else 0.9 * self.reach
+        return max(math.floor(reached * 1e3 + 1e-6) / 1e3, LEAST * self.anatomy.leg)
 
     @property
     def step_reason(self) -> str:

@@ -224,25 +224,24 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
         for result, cure in first_walks(found, given, bar):
             bar.print(f"{result}" + (f" {'cured by' if result.stood else 'in spite of'}: {cure}" if cure else ""))
             last = result
-        for result, cure in dynamic_walks(found, given, last.changes, bar) if last is not None and last.stood else ():
+        stands = last is not None and last.stood
+        for result, cure in dynamic_walks(found, given, last.changes if last and stands else {}, bar):
             bar.print(f"{result}" + (f" {'in spite of' if result.note else 'cured by'}: {cure}" if cure else ""))
             fast.append(result)
-    if not fast:
-        fell = last is not None and last.plant == "physics"
+    quick = best(fast)
+    if len(fast) > 1:
+        print(f"{found.folder / 'dynamic.yaml'} has {_what(quick.changes) or 'no changes'}")
+    steps = quick.stood and (stands or not quick.note)
+    ends = "falls" if last is not None and last.plant == "physics" else "ends early in kinematics"
+    walks = {"robot.yaml": ("the standing walk", stands, ends), "dynamic.yaml": ("the dynamic walk", steps, "falls")}
+    for file in (file for file, (_, good, _) in walks.items() if good):
+        print(shlex.join(["dqwalk", "simulate", "--config", str(found.folder / file), "--plant", "physics"]))
+    if not stands and not steps:
         print(
-            f"adopted, but the standing walk {'falls' if fell else 'ends early in kinematics'}, and no cure helped: "
-            + (
-                "change what its causes name"
-                if fell
-                else "no posture brings the CoM nearer to a sole, or the joints that are active are at limits"
-            )
+            f"adopted, but does not walk, and no cure helped: the standing walk {ends}, the dynamic walk "
+            f"{'is not OK' if quick.stood else 'falls'}: change what their causes name"
         )
         return 1
-    stands = best(fast).stood
-    if len(fast) > 1:
-        print(f"{found.folder / 'dynamic.yaml'} has {_what(best(fast).changes) or 'no changes'}")
-    for file in ("robot.yaml", "dynamic.yaml") if stands else ("robot.yaml",):
-        print(shlex.join(["dqwalk", "simulate", "--config", str(found.folder / file), "--plant", "physics"]))
-    fallen = "the standing walk stands in physics, the dynamic walk falls"
-    print(f"adopted: {'the standing and the dynamic walk stand in physics' if stands else fallen}")
+    each = ", ".join(f"{name} {'stands in physics' if good else end}" for name, good, end in walks.values())
+    print(f"adopted: {'the standing and the dynamic walk stand in physics' if stands and steps else each}")
     return 0

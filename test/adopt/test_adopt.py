@@ -294,6 +294,7 @@ FINE, CLOSE, BESIDE, FELL = (
     Trial("physics", stood, 1.0, 1.0, note, violations)
     for stood, note, violations in ((True, "", 0), (True, "6 mm off", 1), (True, "9 mm off", 3), (False, "fell", 0))
 )
+EARLY = replace(FELL, plant="integrator")
 
 
 @pytest.mark.parametrize(
@@ -382,6 +383,36 @@ def test_commands_to_be_copied_name_a_folder_with_blanks_as_a_shell_reads_it(
     monkeypatch.setattr(trial, "dynamic_walks", lambda *_: [(FELL, "")])
     assert _walk(SimpleNamespace(folder=Path("my robot")), {}, quiet=True) == 0
     assert "\ndqwalk simulate --config 'my robot/robot.yaml' --plant physics\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("standing", "dynamic", "code", "last"),
+    [
+        (FINE, FINE, 0, "adopted: the standing and the dynamic walk stand in physics"),
+        (FINE, BESIDE, 0, "adopted: the standing and the dynamic walk stand in physics"),
+        (FINE, FELL, 0, "adopted: the standing walk stands in physics, the dynamic walk falls"),
+        (FELL, FINE, 0, "adopted: the standing walk falls, the dynamic walk stands in physics"),
+        (EARLY, FINE, 0, "adopted: the standing walk ends early in kinematics, the dynamic walk stands in physics"),
+        (FELL, BESIDE, 1, "adopted, but does not walk, .* the standing walk falls, the dynamic walk is not OK: "),
+        (EARLY, FELL, 1, "adopted, but does not walk, .* the standing walk ends early .*, the dynamic walk falls: "),
+    ],
+)
+def test_a_robot_is_adopted_whose_standing_or_dynamic_walk_walks(
+    standing: Trial,
+    dynamic: Trial,
+    code: int,
+    last: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(trial, "first_walks", lambda *_: [(standing, "")])
+    monkeypatch.setattr(trial, "dynamic_walks", lambda *_: [(dynamic, "")])
+    assert _walk(SimpleNamespace(folder=Path("robot")), {}, quiet=True) == code
+    lines = capsys.readouterr().out.splitlines()
+    assert re.match(last, lines[-1])
+    walks = (("robot.yaml", standing.stood), ("dynamic.yaml", dynamic.stood and not code))
+    told = [line for line in lines if line.startswith("dqwalk simulate")]
+    assert told == [f"dqwalk simulate --config robot/{file} --plant physics" for file, good in walks if good]
 
 
 def test_values_given_by_the_user_are_in_both_walks_unless_they_concern_the_steps(tmp_path: Path) -> None:
