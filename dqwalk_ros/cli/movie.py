@@ -27,7 +27,7 @@ __all__ = ["movie"]
 @command("""
 examples:
   dqwalk movie walk/bag --out walk.gif --speed 4
-  dqwalk movie walk/bag --out strip.png --strip 9 --between 0,7.5
+  dqwalk movie walk/bag --out strip.png --strip 9 --between 20,120
 """)
 @bag_argument
 @namespace_option

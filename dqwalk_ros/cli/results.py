@@ -48,12 +48,19 @@ def prepare(folder: Path, *others: str, force: bool) -> None:
 
 
 def prepare_study(output: Output, store: str, *results: str) -> None:
-    """Raise OutputError if files called as the results of a study exist, but not its store, and --force is not given.
+    """Check the folder of a study; where its store exists, it continues, and the results beside it are its own.
 
-    Where the store exists, the study continues, and the results beside it are its own.
+    Raises
+    ------
+    BagError
+        If it is a file.
+    OutputError
+        If files called as its results exist, but not its store, and --force is not given.
     """
     if not output.force and not os.path.lexists(output.folder / store):
         refuse_existing(output.folder / name for name in results)
+    if output.folder.exists() and not output.folder.is_dir():
+        raise BagError(f"'{output.folder}' is a file, not a folder")
 
 
 def create(folder: Path) -> None:

@@ -196,7 +196,10 @@ class FallWatch:
     """Longest time until a plant reports on plant_ready that it holds [s]."""
     upside_down = math.radians(150.0)
     """Inclination above which an inertial sensor rather measures in another frame [rad]."""
-    other_frame = "is the imu's frame NED (z down)? It must be ENU, as REP 103 says (z up)"
+    other_frame = (
+        "is the imu's frame NED (z down), or is its quaternion in the order w, x, y, z? It must be ENU, as REP 103 "
+        "says (z up)"
+    )
 
     def __init__(
         self,

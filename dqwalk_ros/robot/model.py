@@ -284,7 +284,7 @@ def find_urdf(urdf: str) -> pathlib.Path:
     try:
         return find_file("robot description", urdf, "urdf", ("poppy.urdf", "hrp2_like.urdf"))
     except ConfigError as error:
-        raise ModelError(f"robot.urdf: {error}") from error
+        raise ModelError(f"{error} (robot.urdf)") from error
 
 
 def load_model(config: RobotConfig) -> RobotModel:

@@ -142,6 +142,12 @@ def test_a_study_writes_through_no_link(tmp_path: Path, force: list[str], capsys
     assert (tmp_path / "mine").read_text() == "mine"
 
 
+def test_a_file_is_no_folder_of_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine").write_text("mine")
+    assert cli.main(["pushes", "--out", str(tmp_path / "mine")]) == 1
+    assert capsys.readouterr().err == f"dqwalk: '{tmp_path / 'mine'}' is a file, not a folder\n"
+
+
 def test_a_link_called_bag_is_replaced_not_what_it_leads_to(recorded: Path, tmp_path: Path) -> None:
     from dqwalk_ros.cli.results import prepare
 

@@ -117,7 +117,7 @@ def test_an_imu_in_ned_is_named(make: Any) -> None:
     for k in range(3):
         send_state(node, make_walk(CONFIG, MODEL).posture, 1.0 + 0.005 * k, tilted(math.pi, "x"))
     message = node.got["diagnostics"][-1].status[0].message
-    assert "leans by 180 deg: is the imu's frame NED (z down)? It must be ENU" in message
+    assert "leans by 180 deg: is the imu's frame NED (z down), or is its quaternion in the order w, x, y, z?" in message
     assert not any(node.got["joint_velocity_commands"][-1].velocity)
 
 

@@ -226,7 +226,7 @@ def test_a_missing_joint_is_named(key):
 def test_a_missing_file_is_named():
     with pytest.raises(ModelError, match=r"nowhere.urdf"):
         load_model(RobotConfig(urdf="nowhere.urdf"))
-    with pytest.raises(ModelError, match=r"^robot.urdf: no robot description '/nowhere/robot\.urdf'$"):
+    with pytest.raises(ModelError, match=r"^no robot description '/nowhere/robot\.urdf' \(robot.urdf\)$"):
         load_model(RobotConfig(urdf="/nowhere/robot.urdf"))
 
 
