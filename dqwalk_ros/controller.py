@@ -22,7 +22,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.infeasible import explained, lead_back
-from dqwalk_ros.paper.qp.problem import Problem, Solution
+from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, parts
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.robot.model import RobotModel
@@ -227,7 +227,7 @@ class VelocityController:
         self._solved = []
         self.solution = self._active.solved(now, self._solve)
         assert self.problem is not None  # the last one solved
-        u = _within(self.solution.u, *self.problem.parts[4:], self._u, self.model.velocity_max)
+        u = _bounded(self.solution.u, self.problem.numbers, self.problem.shape, self._u, self.model.velocity_max)
         effort = self._effort(kin, state, u)
         self._u = u
         self._learn(state, u, effort, dt)
@@ -357,6 +357,14 @@ def _within(values: Array, lower: Array, upper: Array, before: Array, most: Arra
     """
     least, largest = np.maximum(before - most, -most), np.minimum(before + most, most)
     return np.minimum(np.maximum(np.minimum(np.maximum(values, lower), upper), least), largest)
+
+
+@jit
+def _bounded(u: Array, numbers: Array, shape: Shape, before: Array, most: Array) -> Array:
+    """Return the velocities of a command (n,), as `_within` does, within the bounds of a `Problem`."""
+    _, _, _, _, lower, upper = parts(numbers, shape)
+    bounded: Array = _within(u, lower, upper, before, most)
+    return bounded
 
 
 @jit

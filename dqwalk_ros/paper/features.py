@@ -9,7 +9,6 @@ returns d, dd/ds and the rate of d by time alone. A class of your own does the s
 
 from __future__ import annotations
 
-import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -256,19 +255,19 @@ class Watched(NamedTuple):
         """
         n = tree.moves.shape[1]
         made: list[tuple[Callable[..., None], int, int, tuple[float, ...]]] = []
-        columns = []
+        ends, columns = [0], []
         for features in watches:
             placed = [(type(one).function, one.size or n, *one.placed(tree)) for one in features]
             wanted = [(function, size, body, tuple(local.tolist())) for function, size, body, local in placed]
             count = len(wanted)
             at = next((k for k in range(len(made)) if made[k : k + count] == wanted), len(made))
             made[at : at + count] = wanted
-            begin = sum(size for _, size, *_ in made[:at])
-            columns.append(slice(begin, begin + sum(size for _, size, *_ in wanted)))
-        functions, sizes, bodies, parts = zip(*made, strict=True)
+            for _, size, *_ in made[len(ends) - 1 :]:
+                ends.append(ends[-1] + size)
+            columns.append(slice(ends[at], ends[at + count]))
+        functions, _, bodies, parts = zip(*made, strict=True)
         local = np.array([(*part, *[0.0] * (8 - len(part))) for part in parts])
-        ends = [*itertools.accumulate(sizes)]
-        places = np.array([*zip(bodies, [0, *ends[:-1]], ends, strict=True)])
+        places = np.array([*zip(bodies, ends[:-1], ends[1:], strict=True)])
         s, J = np.empty(ends[-1]), np.empty((ends[-1], n))
         return cls(_FEATURE.table(functions), places, local, s, J), columns
 

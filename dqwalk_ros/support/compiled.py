@@ -8,6 +8,7 @@ it imports: a change recompiles the functions of its module and of those that de
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
 import hashlib
 import inspect
@@ -25,12 +26,11 @@ from numba import extending, types
 from numba.core import cgutils, event
 from numba.np import arrayobj
 
-from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.cache import cache_folder
 
 __all__ = [
     "COMPILING", "FLOAT", "INTEGER", "INTEGERS", "MASK", "MATRIX", "NOTHING", "TABLE", "VECTOR", "Record", "Signature",
-    "digest", "jit", "times",
+    "digest", "jit",
 ]  # fmt: skip
 
 
@@ -145,16 +145,6 @@ def jit(function: Callable[..., Any]) -> Any:
     return compiled
 
 
-@jit
-def times(A: Array, x: Array) -> Array:
-    """Return A x; of so few numbers in a third of the time that BLAS takes, which `@` calls."""
-    y = np.zeros(A.shape[0])
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            y[i] += A[i, j] * x[j]
-    return y
-
-
 # ---------------------------------------------------------------------- functions that are known at run time only
 
 FLOAT, INTEGER, NOTHING = numba.float64, numba.int64, numba.void
@@ -247,7 +237,7 @@ class Record:
     """
 
     def __init__(self, cls: type[tuple[Any, ...]], *fields: Any) -> None:
-        self._fields = fields
+        self._fields = [(field, None if isinstance(field, Record) else np.dtype(str(field.dtype))) for field in fields]
         self.type: Any = types.NamedTuple([field.type if isinstance(field, Record) else field for field in fields], cls)
 
     def table(self, record: tuple[Any, ...]) -> Any:
@@ -258,16 +248,19 @@ class Record:
         TypeError
             If an array is of another type.
         """
-        return record if _CONFIG.DISABLE_JIT else np.array([*self._words(record)], np.int64)
+        return record if _CONFIG.DISABLE_JIT else np.array(self._words(record), np.int64)
 
-    def _words(self, record: tuple[Any, ...]) -> Iterator[int]:
-        for field, part in zip(self._fields, record, strict=True):
-            if isinstance(field, Record):
-                yield from field._words(part)
-            elif numba.typeof(part) != field:
+    def _words(self, record: tuple[Any, ...]) -> list[int]:
+        words: list[int] = []
+        for (field, dtype), part in zip(self._fields, record, strict=True):
+            if dtype is None:
+                words += field._words(part)
+            elif part.dtype != dtype or part.ndim != field.ndim or not part.flags.c_contiguous:
                 raise TypeError(f"an array of {self.type.instance_class.__name__} is {numba.typeof(part)}, not {field}")
             else:
-                yield from (part.ctypes.data, *part.shape)
+                address = ctypes.addressof(ctypes.c_char.from_buffer(part)) if part.size else 0
+                words += address, *part.shape
+        return words
 
     @property
     def opened(self) -> Any:
@@ -292,12 +285,12 @@ class Record:
             return builder.load(builder.gep(words, [context.get_constant(types.intp, next(places))]))
 
         parts = []
-        for field in self._fields:
-            if isinstance(field, Record):
+        for field, dtype in self._fields:
+            if dtype is None:
                 parts.append(field._read(context, builder, words, places))
                 continue
             array = context.make_array(field)(context, builder)
-            size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(field.dtype)))
+            size = context.get_constant(types.intp, dtype.itemsize)
             data, shape = builder.inttoptr(word(), array.data.type), [word() for _ in range(field.ndim)]
             strides = [size]
             for length in shape[:0:-1]:

@@ -115,7 +115,7 @@ def test_a_prepared_cache_is_not_used(how: str, homeless: Path) -> None:
 
 def test_without_a_cache_each_process_compiles(homeless: Path) -> None:
     PREPARED["a link"](temporary())
-    code = "import dqwalk_ros.support.compiled as c; print(c.numba.config.CACHE_DIR, type(c.times._cache))"
+    code = "import dqwalk_ros.support.compiled as c; print(c.numba.config.CACHE_DIR, type(c.jit(c.jit)._cache))"
     environment = {"PATH": os.environ["PATH"], "TMPDIR": str(homeless), "XDG_CACHE_HOME": "/dev/null"}
     shown = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert shown.stdout.split() == ["<class", "'numba.core.caching.NullCache'>"]

@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol, Self
 import numpy as np
 
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit, times
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import QPError
 
 __all__ = [
@@ -265,6 +265,16 @@ def scale(numbers: Array, shape: Shape) -> tuple[float, float]:
 
 
 @jit
+def _times(A: Array, x: Array) -> Array:
+    """Return A x; of so few numbers in a third of the time that BLAS takes, which `@` calls."""
+    y = np.zeros(A.shape[0])
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            y[i] += A[i, j] * x[j]
+    return y
+
+
+@jit
 def kkt(
     numbers: Array, shape: Shape, u: Array, z: Array, s: float, curvature: float
 ) -> tuple[float, float, float, float, int]:
@@ -278,8 +288,8 @@ def kkt(
     k = l + m
     signed = z[:k].copy()
     signed[l:] *= -1.0
-    gradient = times(H, u) + c + times(W.T, signed) + z[k : k + n] - z[k + n :]
-    slack = np.concatenate((times(W, u) - w, upper - u, u - lower))
+    gradient = _times(H, u) + c + _times(W.T, signed) + z[k : k + n] - z[k + n :]
+    slack = np.concatenate((_times(W, u) - w, upper - u, u - lower))
     force = max(s * curvature, np.abs(z).max())
     primal, row, dual, complementarity = 0.0, -1, 0.0, 0.0
     for i in range(k + 2 * n):

@@ -247,7 +247,7 @@ class DynamicWalk(SteppingWalk):
             ended = not wanted.any()
             wanted = np.zeros(3) if on_the_spot else wanted
         change = most / (ramp + 1)
-        new = step + np.clip(wanted - step, -change, change)
+        new = step + np.minimum(np.maximum(wanted - step, -change), change)
         return new, bool(ended and np.abs(new).max() < 1e-9)
 
     def _durations(self, length: float) -> tuple[float, float]:
