@@ -102,7 +102,7 @@ def exercise(
             reason = "" if trace.finished else "; ".join(trace.notes)
     if reason:
         print(f"dqwalk: {reason}", file=sys.stderr)
-    if not quiet:
+    if not quiet and (out / "bag").exists():
         then = shlex.join(["dqwalk", "identify", str(out / "bag")])
         print(f"wrote {out / 'bag'}" + ("" if reason else f"; next: {then}"))
     return 1 if reason else 0

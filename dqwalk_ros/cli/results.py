@@ -38,7 +38,8 @@ def prepare(folder: Path, *others: str, force: bool) -> None:
     """
     bag = folder / "bag"
     if not force:
-        refuse_existing([bag, *(folder / name for name in others)])
+        no_walk = (folder / "log/params.yaml").is_file() and not os.path.lexists(bag)  # one that did not begin
+        refuse_existing([bag, *(folder / name for name in others if name != "log" or not no_walk)])
     refuse_other(bag)
     if bag.is_symlink():
         bag.unlink()

@@ -11,6 +11,7 @@ import json
 import math
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -95,7 +96,7 @@ def run_walk(
     Parameters
     ----------
     bag : path-like
-        Folder that the recorder creates; it must not exist.
+        Folder that the recorder creates; it must not exist. It is removed if the walk does not begin.
     plant : str
         A name of `plants.table.PLANTS`, or MODULE:CLASS; `config` must already contain its parameters.
     course : sequence of str
@@ -107,7 +108,7 @@ def run_walk(
     domain : int, optional
         ROS domain; by default ``ROS_DOMAIN_ID`` if it is set, else one that no other walk on this machine uses.
     """
-    bag = Path(bag)
+    bag, new = Path(bag), not os.path.lexists(bag)
     folder = bag.parent / "log"  # parameters and logs of the nodes
     config = config.updated(
         {
@@ -145,6 +146,8 @@ def run_walk(
         processes.stop()
         reason = reason or _recording_error(processes, lockstep, int(walk.last["ticks"]))
         pace = processes.reports[node].get("pace", "")
+    if reason and new and not walk.last.get("ticks"):  # nothing of this walk is in it, and the next try needs its place
+        shutil.rmtree(bag, ignore_errors=True)
     return RunOutcome(
         finished=not reason,
         reason=reason,

@@ -44,6 +44,19 @@ def test_a_step_that_is_too_long_ends_with_the_reason(tmp_path: Path) -> None:
     assert len(walked.time) >= outcome.ticks
 
 
+def test_a_walk_that_does_not_begin_can_be_tried_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As without a robot at the ports: it is plugged in, and the same line typed again."""
+    words = ["walk", "--plant", "poppy", "--config", "poppy", "--set", "poppy.motors=nowhere", "--out", str(tmp_path)]
+    for _ in range(2):
+        assert cli.main([*words, "--quiet"]) == 1
+        assert "poppy_driver: no table of motors 'nowhere'" in capsys.readouterr().err
+    assert [file.name for file in tmp_path.iterdir()] == ["log"]
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag/precious").write_text("data")
+    assert "exists already" in str(run_walk(load("poppy"), tmp_path / "bag"))
+    assert (tmp_path / "bag/precious").exists()
+
+
 def test_an_existing_bag_is_not_changed(make: Any, tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "precious").write_text("data")
