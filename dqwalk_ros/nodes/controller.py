@@ -34,12 +34,17 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.simulation import warm_up
+from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, StateError, one_line
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
 
 __all__ = ["Controller", "Mode"]
+
+
+_MOVED = 0.1
+"""Largest motion of a joint while the plant is not ready after which an interrupted walk continues [rad]."""
 
 
 class Mode(enum.Enum):
@@ -114,6 +119,7 @@ class Controller(AnsweringNode):
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready, self._plant_warning = True, ""
+        self._left_at: Array | None = None  # angles at which the plant has interrupted the walk (n,) [rad]
         self._ended_for = ""  # the warning that has ended the walk
         self._pausing = False  # the walk comes to a rest, where it is paused
         self._falls = FallWatch(
@@ -172,6 +178,7 @@ class Controller(AnsweringNode):
         if state is None or not self._may_answer():
             return
         before = self._mode
+        self._look_for_motion_while_not_ready(state)
         ready = self._plant_ready and not (self._duplicates or self._slow)
         self._look_for_contradictions(state, ready)
         if self._mode is Mode.WALKING and ready and not self._falls.suspected:
@@ -278,6 +285,21 @@ class Controller(AnsweringNode):
             self._publish_zero()
             self._done()
 
+    def _look_for_motion_while_not_ready(self, state: State) -> None:
+        """End a walk that the plant has interrupted, if the robot was moved meanwhile.
+
+        As by hand with the torque off, and then to its first pose: nobody expects that it continues in mid-step.
+        """
+        if self._mode not in (Mode.WALKING, Mode.PAUSED) or not self._has_begun:
+            self._left_at = None
+        elif not self._plant_ready:
+            self._left_at = state.q if self._left_at is None else self._left_at
+        elif self._left_at is not None:
+            moved, self._left_at = np.abs(state.q - self._left_at), None
+            if moved[k := int(moved.argmax())] > _MOVED:
+                name = self._model.joint_names[k]
+                self._fail(f"{name} has moved by {moved[k]:.2f} rad while the plant was not ready")
+
     def _look_for_contradictions(self, state: State, ready: bool) -> None:
         """End the walk if the measurements contradict the commands; not checked while the robot stands still."""
         if self._mode is not Mode.WALKING or not ready:
@@ -342,7 +364,7 @@ class Controller(AnsweringNode):
             self._controller.pause(False)
             self._mode, self._pausing = Mode.WALKING, False
             self._show_phase()
-            return self.answer(response, True, "walking")
+            return self.answer(response, True, "walking" if self._plant_ready else "walking once the plant is ready")
         if self._mode is Mode.WALKING:
             return self.answer(response, True, "already walking")
         why = "it is over" if self._mode is Mode.DONE else f"it failed: {self._problem}"

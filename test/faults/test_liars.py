@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from inside import state
 from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.controller import VelocityController
@@ -125,6 +126,36 @@ def test_a_plant_that_receives_no_commands_is_not_a_sensor_fault(make: Any, hold
     if holds:
         node.send("plant_ready", Bool(data=True))
         assert commands_motion(2)
+
+
+@pytest.mark.parametrize(("moved", "continues"), [(0.05, True), (0.3, False)])
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_walk_whose_robot_was_moved_while_the_torque_was_off_does_not_continue(
+    make: Any, moved: float, continues: bool, paused: bool
+) -> None:
+    """With the next ~/activate it would go on in mid-step, unasked."""
+    node, stamps = make("controller", load("paper").updated({"dt": 0.02})), itertools.count(50)
+    q = np.zeros(MODEL.n)
+
+    def commands_motion(ticks: int, speed: float = 0.0) -> bool:
+        for stamp in itertools.islice(stamps, ticks):
+            q[KNEE] += 0.02 * speed
+            node.send("joint_states", state(MODEL.joint_names, q, 0.02 * stamp))
+        return any(node.got["joint_velocity_commands"][-1].velocity)
+
+    assert commands_motion(3)
+    if paused:
+        node.call("~/pause", Trigger.Request())
+    node.send("plant_ready", Bool(data=False))
+    assert not commands_motion(30, moved / 0.6)
+    node.send("plant_ready", Bool(data=True))
+    assert commands_motion(3) is (continues and not paused)
+    answer = node.call("~/start", Trigger.Request())
+    assert answer.success is continues
+    assert continues or "l_knee_y has moved by 0.29 rad while the plant was not ready" in answer.message
+    node.call("~/reset", Trigger.Request())
+    node.send("plant_ready", Bool(data=False))
+    assert node.call("~/start", Trigger.Request()).message == "walking once the plant is ready"
 
 
 @pytest.mark.long
