@@ -13,6 +13,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
+from dqwalk_ros.paper.qp.problem import Problem
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import QPError
 from dqwalk_ros.walks.table import make_walk
@@ -45,7 +46,7 @@ def test_a_period_brings_no_distance_nearer_to_its_bound_than_eta_and_the_curvat
             continue
         of = now.problem
         try:  # the inequalities alone: random soles are not on the ground
-            u = solver.solve(of._replace(W=of.W[rows:], w=of.w[rows:], equalities=0, names=of.names[rows:])).u
+            u = solver.solve(Problem.of(of.H, of.c, of.G, of.h, of.lower, of.upper, names=of.names[rows:])).u
         except QPError:
             continue
         kept += 1
