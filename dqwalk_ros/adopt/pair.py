@@ -36,6 +36,8 @@ _SIDEWAYS = 0.5
 """Least horizontal part of the way from leg to leg."""
 _NEARLY = 3.0
 """Difference of two chains, in parts of what is allowed, below which an error about them says more than one of z up."""
+_LEAST_JOINTS = 4
+"""Least number of joints of legs by which another axis of the root link than z may be up."""
 _LEANS = 0.1
 """Least angle of soles and legs to an axis of the root link with which this axis is not up [rad]."""
 _AGREE = 0.5
@@ -83,7 +85,7 @@ def find_pair(plain: Skeleton, given: tuple[str, str]) -> tuple[Skeleton, tuple[
             return skeleton, pair
         if k == 0:
             first = skeleton, pair
-        elif _above(skeleton, pair):
+        elif _above(skeleton, pair) and len(branches(skeleton, *pair)[0]) >= _LEAST_JOINTS:
             problems.append(_leaning(skeleton, pair, up))
     unsure = first is not None or isinstance(problems[0], NoLegsError)
     # that of z up, unless another axis has almost two legs

@@ -184,6 +184,20 @@ def test_legs_that_almost_stand_with_another_axis_up_are_said(ankle: float, knee
         anatomy_of(urdf)
 
 
+def test_legs_of_three_joints_do_not_show_what_is_up() -> None:
+    """Those of a quadruped do not mean that its nose is up."""
+    urdf = Urdf.load(SMALL)
+    for side in "lr":
+        for name in ("hip_yaw", "hip_roll", "ankle_roll"):
+            urdf.weld({f"{side}_{name}": 0.0})
+        joint = urdf.joints[f"{side}_ankle_pitch"]
+        joint.origin = joint.origin @ at(np.zeros(3), DQ.rotation_about(0.4, Y).rotation_matrix())
+    for link in urdf.links:
+        moved(urdf, link, at(np.zeros(3), DQ.rotation_about(0.5 * math.pi, X).rotation_matrix()))
+    with pytest.raises(ModelError, match="is carried by 2 joints at most"):
+        anatomy_of(urdf)
+
+
 def test_of_soles_that_overlap_the_visual_shapes_are_taken(tmp_path: Path) -> None:
     wide = r'(<collision>\s*<origin xyz="[^"]*"/>\s*<geometry>)<box size="0.1265 0.0825 0.0132"/>'
     found, plain = anatomy_of(read(tmp_path, (wide, r'\1<box size="0.6 0.4 0.0132"/>'))), anatomy_of(Urdf.load(SMALL))
