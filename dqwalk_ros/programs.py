@@ -5,8 +5,6 @@ from __future__ import annotations
 import signal
 import sys
 
-from dqwalk_ros.support.errors import not_imported
-
 __all__ = ["dqwalk", "node"]
 
 
@@ -24,7 +22,11 @@ class _Starting:
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         signal.signal(signal.SIGINT, self._before)
-        if isinstance(error, Exception) and (why := not_imported(error)):
+        if not isinstance(error, Exception):
+            return
+        from dqwalk_ros.support.errors import not_imported  # not before Ctrl-C ends the program silently
+
+        if why := not_imported(error):
             sys.exit(f"{sys.argv[0].rpartition('/')[2]}: {why}")
 
 

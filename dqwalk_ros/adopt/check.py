@@ -22,7 +22,8 @@ from dqwalk_ros.robot.standing_limits import Finding, servo_findings
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.walks.footsteps import Footsteps
-from dqwalk_ros.walks.table import make_controller
+from dqwalk_ros.walks.stepping import SteppingWalk
+from dqwalk_ros.walks.table import make_controller, make_walk
 
 __all__ = ["check", "require_usable"]
 
@@ -48,7 +49,7 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
     """Return the parameters that do not fit the robot; an empty list if all fit.
 
     Posture, soles and capsules of free arms are checked; without such problems, for the standing and the dynamic walk
-    also torques and whether the CoM is between the soles, and for the standing walk the CoM, servos and steps.
+    also torques, steps and whether the CoM is between the soles, and for the standing walk the CoM and servos.
     """
     q = model.posture(config.standing.posture)
     found = [Finding(why, "")] if (why := stands_still(config)) else []
@@ -61,9 +62,7 @@ def check(config: Config, model: RobotModel) -> list[Finding]:
     if config.gait.style == "standing":
         found += [*_com(config, model, q), *servo_findings(config, model)]
     found += [*_com_beside(model, q), *_torque(config, model, q)]
-    if config.gait.style == "standing":
-        found += _step(config, model, q)
-    return found
+    return [*found, *_step(config, model, q)]
 
 
 def require_usable(config: Config, model: RobotModel) -> None:
@@ -190,7 +189,9 @@ def _com_beside(model: RobotModel, q: Array) -> Iterator[Finding]:
 def _step(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     """Check that the legs reach a step: the walk moves each footprint to the nearest one that they reach."""
     length = config.gait.step_length
-    reached, stuck = Footsteps(config, model, q).reach(length)
+    walk = make_walk(config, model) if config.gait.style == "dynamic" else None  # it carries the CoM less far
+    steps = walk.footsteps if isinstance(walk, SteppingWalk) else Footsteps(config, model, q)
+    reached, stuck = steps.reach(length)
     if abs(reached) < _REACHED * abs(length):
         why = f": {', '.join(stuck)} at the limit" if stuck else ""
         yield Finding(

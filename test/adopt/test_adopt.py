@@ -231,9 +231,11 @@ def test_check_reports_wrong_parameters(name: str, small: Adoption) -> None:
     assert any(re.search(expected, str(finding)) for finding in found), found
 
 
-def test_a_step_back_that_the_legs_reach_is_no_problem() -> None:
+def test_a_step_that_the_legs_reach_is_no_problem_and_another_one_is() -> None:
     config = load("poppy").updated({"gait.step_length": -0.05})
     assert not check(config, load_model(config.robot))
+    far = load("poppy_dynamic").updated({"gait.step_length": 0.5})
+    assert any("steps of 242 mm instead of 500 mm: l_hip_z" in str(one) for one in check(far, load_model(far.robot)))
     found = check(config.updated({"gait.step_width": 0.3}), load_model(config.robot))
     assert any("steps of -" in str(one) and "instead of -50 mm" in str(one) for one in found), found
 
