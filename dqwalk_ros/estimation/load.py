@@ -20,7 +20,7 @@ import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, point_at, support_tree
+from dqwalk_ros.paper.kinematics import Kinematics, jacobian_column, point_at, support_tree
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
@@ -152,17 +152,18 @@ def _forces(
     centres of the soles, and `weight` [N] is that of the robot. For the leg of the base sole all motions are relative
     to the pelvis, too: a joint that moves all other links by the velocity v moves those below it by -v.
     """
-    forces, sizes = np.zeros(2), np.zeros(2)
+    forces, sizes, v = np.zeros(2), np.zeros(2), np.empty(3)
     for i in range(lines.shape[0]):
-        axis, m = lines[i, :3], lines[i, 3:]
         if not other[i]:
             continue  # trunk and arms
         along = up[0] * J_com[0, i] + up[1] * J_com[1, i] + up[2] * J_com[2, i]
+        jacobian_column(lines[i], at_base if pelvis[i] else at_other, 1.0, v)
         if pelvis[i]:
-            k, J = 0, -(up @ (np.cross(axis, at_base) + m))
-            g = weight * (along - up @ (np.cross(axis, com) + m))
+            k, J = 0, -(up @ v)
+            jacobian_column(lines[i], com, 1.0, v)
+            g = weight * (along - up @ v)
         else:
-            k, J = 1, up @ (np.cross(axis, at_other) + m)
+            k, J = 1, up @ v
             g = weight * along
         forces[k] += J * (g - tau[i])
         sizes[k] += J * J

@@ -40,6 +40,7 @@ __all__ = [
     "direction_at",
     "forward",
     "jacobian",
+    "jacobian_column",
     "multiply",
     "on_ground",
     "point",
@@ -126,7 +127,7 @@ def _translation(x: Array, out: Array) -> None:
 
 
 @jit
-def _jacobian_column(line: Array, p: Array, factor: float, out: Array) -> None:
+def jacobian_column(line: Array, p: Array, factor: float, out: Array) -> None:
     """Fill `out` (3,) with l x p + factor m: the derivative of `p` (3,) with respect to the joint on the line (6,).
 
     The factor is 1 for a point and 0 for a direction. For a mass-weighted sum of points it is the sum of the weights.
@@ -156,7 +157,9 @@ def forward(
         if b > 0:
             i = tree[b, 1]
             multiply(poses[tree[b, 0]], link[:8], x)
-            half[0], half[1:4] = math.cos(0.5 * q[i]), math.sin(0.5 * q[i]) * link[8:11]
+            half[0], sine = math.cos(0.5 * q[i]), math.sin(0.5 * q[i])
+            for k in range(3):
+                half[1 + k] = sine * link[8 + k]
             multiply(x, half, pose)
             line = lines[i]
             rotate(pose, link[8:11], line[:3])  # l
@@ -166,13 +169,14 @@ def forward(
             line[5] = p[0] * line[1] - p[1] * line[0]
         _translation(pose, p)
         rotate(pose, link[12:15], c)
-        subtree[b, :3] = link[11] * (p + c)  # (U2): the CoM of a body is the translation of x_i x_ci^i
+        for k in range(3):
+            subtree[b, k] = link[11] * (p[k] + c[k])  # (U2): the CoM of a body is the translation of x_i x_ci^i
         subtree[b, 3] = link[11]
     for b in range(count - 1, 0, -1):
         i = tree[b, 1]
         subtree[tree[b, 0]] += subtree[b]
         # (U5): the joint moves the masses after it, 1/M sum m_k (l x p_ck + m)
-        _jacobian_column(lines[i], subtree[b], subtree[b, 3], J_com[:, i])
+        jacobian_column(lines[i], subtree[b], subtree[b, 3], J_com[:, i])
     p_com[:] = subtree[0, :3]  # (U4): 1/M sum m_i p_ci
     finite = True
     for i in range(q.shape[0]):
@@ -225,7 +229,7 @@ def jacobian(lines: Array, moves: Mask, p: Array, factor: float, J: Array) -> No
     J[:] = 0.0
     for i in range(lines.shape[0]):
         if moves[i]:
-            _jacobian_column(lines[i], p, factor, J[:, i])
+            jacobian_column(lines[i], p, factor, J[:, i])
 
 
 @jit
@@ -235,7 +239,8 @@ def pose_jacobian(lines: Array, moves: Mask, x: Array, J: Array) -> None:
     line, column = np.zeros(8), np.empty(8)
     for i in range(lines.shape[0]):
         if moves[i]:
-            line[1:4], line[5:8] = 0.5 * lines[i, :3], 0.5 * lines[i, 3:]  # (U3)
+            for k in range(3):
+                line[1 + k], line[5 + k] = 0.5 * lines[i, k], 0.5 * lines[i, 3 + k]  # (U3)
             multiply(line, x, column)
             J[:, i] = column
 

@@ -84,6 +84,7 @@ def moving_com(com: Array, J_com: Array, lines: Array, poses: Array, sensor: Pla
         omega = direction_at(poses, sensor.body, sensor.pose, gyro)
         for i in range(lines.shape[0]):
             if sensor.moves[i]:
-                omega -= dq[i] * lines[i, :3]
+                for k in range(3):
+                    omega[k] -= dq[i] * lines[i, k]
         v += np.cross(omega, com)
     return v

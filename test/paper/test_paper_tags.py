@@ -13,8 +13,8 @@ from mutated import ROOT, changed, changes_output, copy_package, output_of
 
 PLACES = {
     "(U1)": ("dqwalk_ros/paper/kinematics.py", "2.0 * t[1], 2.0 * t[2]", "2.1 * t[1], 2.0 * t[2]"),
-    "(U2)": ("dqwalk_ros/paper/kinematics.py", "link[11] * (p + c)", "link[11] * (p - c)"),
-    "(U3)": ("dqwalk_ros/paper/kinematics.py", "0.5 * lines[i, :3], 0.5", "0.6 * lines[i, :3], 0.5"),
+    "(U2)": ("dqwalk_ros/paper/kinematics.py", "link[11] * (p[k] + c[k])", "link[11] * (p[k] - c[k])"),
+    "(U3)": ("dqwalk_ros/paper/kinematics.py", "0.5 * lines[i, k], 0.5", "0.6 * lines[i, k], 0.5"),
     "(U4)": ("dqwalk_ros/paper/kinematics.py", "p_com[:] = subtree[0, :3]", "p_com[:] = 1.1 * subtree[0, :3]"),
     "(U5)": (
         "dqwalk_ros/paper/kinematics.py",
