@@ -158,9 +158,9 @@ def _assemble(
     """
     tree, links, bodies, watched, stack, form = _opened(table)
     bodies.q[:], bodies.up[:] = q, up
-    forward(q, tree, links, bodies.poses, bodies.lines, bodies.com, bodies.com_jacobian)
+    forward(bodies.q, tree, links, bodies.poses, bodies.lines, bodies.com, bodies.com_jacobian)
     observe(bodies, watched)
-    _evaluate(q, watched.s, stack, elapsed, values)
+    _evaluate(bodies.q, watched.s, stack, elapsed, values)
     J[:] = stack.gradients @ watched.J  # the chain rule: dd/dq = dd/ds ds/dq
     error: float = _fill(values, J, wanted, stack, form, damping, dt, velocity, numbers, shape)
     return error

@@ -242,6 +242,15 @@ def test_a_feature_that_several_tasks_and_constraints_watch_is_computed_once():
     np.testing.assert_allclose(watched.s, [*kin.com, *kin.point("pelvis", point.offset)], atol=1e-15)
 
 
+def test_joint_angles_may_be_read_only_or_a_part_of_another_array():
+    phase = phase_of(*KINDS[0])
+    q = configurations(1)[0]
+    fixed = q.copy()
+    fixed.flags.writeable = False
+    for one in (fixed, np.repeat(q, 2)[::2]):
+        np.testing.assert_array_equal(phase.evaluate(one).values, phase.evaluate(q).values)
+
+
 def test_a_later_tick_does_not_change_an_earlier_problem():
     phase = phase_of(PhaseKind.DOUBLE_SUPPORT, Foot.LEFT)
     q, other = configurations(2)
