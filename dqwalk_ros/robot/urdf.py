@@ -118,11 +118,13 @@ class Urdf:
             for visual in link.visuals:
                 visual.material = _material(visual.material, materials)
         ranged = [joint.limit for joint in self.joints.values() if joint.type == "revolute" and joint.limit]
-        if len(ranged) > 1 and not any(limit.lower or limit.upper for limit in ranged):
+        zero = [limit for limit in ranged if limit.lower == limit.upper == 0.0]
+        if len(zero) > max(1, len(ranged) // 2):
             self.repairs.append(
-                f"all {len(ranged)} revolute joints have the limits 0 and 0, as exporters write them: taken as none"
+                f"{len(zero)} of {len(ranged)} revolute joints have the limits 0 and 0, as exporters write them: "
+                "taken as none"
             )
-            for limit in ranged:
+            for limit in zero:
                 limit.lower, limit.upper = -math.inf, math.inf
         for joint in self.joints.values():
             self._repair_joint(joint, places["joint", joint.name])

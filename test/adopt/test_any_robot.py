@@ -494,19 +494,22 @@ def test_placeholder_inertias_are_replaced_and_named() -> None:
 # ---------------------------------------------------------------------- joints
 
 
-def test_a_robot_whose_joints_all_have_the_limits_0_and_0_moves_without_limits(tmp_path: Path) -> None:
-    urdf = read(tmp_path, (r'lower="[^"]*" upper="[^"]*"', 'lower="0" upper="0"'))
+@pytest.mark.parametrize(("joints", "message"), [("", "17 of 17"), ("._(?!elbow)", "14 of 17")])
+def test_a_robot_most_of_whose_joints_have_the_limits_0_and_0_moves_without_limits(
+    joints: str, message: str, tmp_path: Path
+) -> None:
+    urdf = read(tmp_path, (rf'(<joint name="{joints}[^>]*>.*?)lower="[^"]*" upper="[^"]*"', r'\1lower="0" upper="0"'))
     assert len(anatomy_of(urdf).legs[Foot.LEFT]) == 6
-    assert "have the limits 0 and 0" in urdf.repairs[0]
+    assert f"{message} revolute joints have the limits 0 and 0" in urdf.repairs[0]
 
 
 def test_repairs_are_printed_for_a_refused_robot_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    legs = r'(name="._(?:hip|knee|ankle)[^>]*>.*?)lower="[^"]*" upper="[^"]*"', r'\1lower="0" upper="0"'
+    legs = r'(name="._(?:hip|knee|ankle)[^>]*>.*?)lower="[^"]*" upper="[^"]*"', r'\1lower="0.1" upper="0.1"'
     path = edited(tmp_path, SMALL, legs)
     assert cli.main(["adopt", str(path), "--out", str(tmp_path / "out"), "--yes"]) == 2
     out, error = capsys.readouterr()
     assert "repaired: line" in out
-    assert "'l_hip_yaw' has no range, lower and upper are 0: fixed there (11 more like this)" in out
+    assert "'l_hip_yaw' has no range, lower and upper are 0.1: fixed there (11 more like this)" in out
     assert "joints have no range" in error
 
 
