@@ -33,9 +33,10 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.plants.base import stands_still
 from dqwalk_ros.simulation import warm_up
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import DqwalkError, StateError, one_line
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, StateError, one_line
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
@@ -45,6 +46,9 @@ __all__ = ["Controller", "Mode"]
 
 _MOVED = 0.1
 """Largest motion of a joint while the plant is not ready after which an interrupted walk continues [rad]."""
+_TUNED = 1.5
+"""Largest factor by which a parameter of the walk changes at once while the robot walks: Poppy's standing walk falls if
+its transfer takes half of its time."""
 
 
 class Mode(enum.Enum):
@@ -414,10 +418,23 @@ class Controller(AnsweringNode):
     # ------------------------------------------------------------------ topics
 
     def tune(self, config: Config) -> None:
-        """Apply live parameters; those of the walk take effect at the next phase."""
+        """Apply live parameters; those of the walk take effect at the next phase, and change little by little."""
+        if why := stands_still(config):
+            raise ConfigError(why)
         own = ("plant.", "monitor.", "gait.cmd_vel_timeout")
         before, now = self.config.flat(), config.flat()
-        if any(now[name] != before[name] and not name.startswith(own) for name in now):
+        changed = [name for name in now if now[name] != before[name] and not name.startswith(own)]
+        for name in changed if self._is_walking and self._has_begun else ():
+            was, wanted = before[name], now[name]
+            if not (isinstance(was, float) and isinstance(wanted, float) and was):
+                continue
+            low, high = was / _TUNED, _TUNED * was
+            if not low * (1.0 - 1e-9) <= wanted <= high * (1.0 + 1e-9):
+                how = "set it in steps, or call ~/pause first"
+                raise ConfigError(
+                    f"'{name}' is {was:g}; while the robot walks it may be {low:.3g} to {high:.3g}: {how}"
+                )
+        if changed:
             self._controller.tune(config)
 
     @property

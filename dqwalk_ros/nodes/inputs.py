@@ -155,8 +155,13 @@ class CommandInput:
         self._warnings.publish(String(data=reason))
 
     def _on_parameters(self, wanted: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse a longer command timeout while the robot moves."""
+        """Refuse a longer command timeout while the robot moves, and one with which it would never move."""
         now = self._node.config.plant.command_timeout
+        for p in wanted:
+            if p.name == "plant.command_timeout" and isinstance(p.value, float):
+                timeout = min(max(p.value, 0.0), 10.0)  # else the schema refuses it
+                if why := stands_still(self._node.config.updated({p.name: timeout})):
+                    return SetParametersResult(successful=False, reason=why)
         longer = any(p.name == "plant.command_timeout" and isinstance(p.value, float) and p.value > now for p in wanted)
         if longer and not self.gate.holding:
             reason = f"'plant.command_timeout' can only be lowered while the robot moves, it is {now:g} s"

@@ -71,6 +71,8 @@ def test_the_command_timeout_can_only_be_lowered_while_the_robot_moves(make: Any
     assert not accepts(5.1)
     assert node.config.plant.command_timeout == 5.0
     assert accepts(4.0)
+    (result,) = node.set_parameters([Parameter("plant.command_timeout", value=0.03)])
+    assert "the robot would stand still; set at least 0.04 s" in result.reason
     node.commands.gate.hold()
     assert accepts(5.0)
 

@@ -80,6 +80,10 @@ def test_param_set_is_logged_published_and_used_from_the_next_phase(make: Any) -
         if k == 10:
             assert put("gait.step_height", 0.03).successful
             assert not put("gait.step_height", 3.0).successful
+            assert (
+                "while the robot walks it may be 0.02 to 0.045: set it in steps" in put("gait.step_height", 0.05).reason
+            )
+            assert "the robot would stand still" in put("plant.command_timeout", 0.0).reason
             assert not put("gait.steps", 7).successful  # structural
             assert put("monitor.warn_margin", 0.001).successful
         if controller.phase_index == 1:
