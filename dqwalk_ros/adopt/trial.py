@@ -85,10 +85,15 @@ class Trial:
     touching: str = ""
     changes: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def short(self) -> bool:
+        """Whether the robot got less far than planned."""
+        return self.distance < _SHORT * self.planned
+
     def __str__(self) -> str:
         if not self.stood:
             return f"{self.plant}: {self.note}" + "".join(f"; it fell because: {cause}" for cause in self.causes[:1])
-        short = f" instead of {self.planned:.3f} m" if self.distance < _SHORT * self.planned else ""
+        short = f" instead of {self.planned:.3f} m" if self.short else ""
         load = f", {self.load}" if self.load and self.load.part > _LOADED else ""
         but = "; ".join(text for text in (self.note, self.touching) if text)
         return f"{self.plant}: walked {self.distance:.3f} m{short}{load}" + (f", but {but}" if but else "")
@@ -206,8 +211,8 @@ def dynamic_walks(
 
 
 def best(walks: Sequence[Trial]) -> Trial:
-    """Return the walk that stood with the fewest violations, the first of these; the first one if all fell."""
-    return min(walks, key=lambda walk: (not walk.stood, walk.violations))
+    """Return the walk that stood, got as far as planned, and has the fewest violations; the first of equal ones."""
+    return min(walks, key=lambda walk: (not walk.stood, bool(walk.violations) and walk.short, walk.violations))
 
 
 def too_much(config: Config, model: RobotModel) -> str:

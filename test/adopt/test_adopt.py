@@ -296,7 +296,7 @@ FINE, CLOSE, BESIDE, FELL = (
     Trial("physics", stood, 1.0, 1.0, note, violations)
     for stood, note, violations in ((True, "", 0), (True, "6 mm off", 1), (True, "9 mm off", 3), (False, "fell", 0))
 )
-EARLY = replace(FELL, plant="integrator")
+EARLY, STUCK = replace(FELL, plant="integrator"), replace(CLOSE, distance=0.4)
 
 
 @pytest.mark.parametrize(
@@ -309,6 +309,7 @@ EARLY = replace(FELL, plant="integrator")
         ([BESIDE, FELL, FELL, FINE], (), (1.0, 1.0, 1.0, 1.0)),
         ([BESIDE, FELL, FELL, BESIDE, BESIDE], (), (1.0, 0.75, 0.7, 1.0)),
         ([BESIDE, FELL, FELL, BESIDE, CLOSE], (), (1.0, 0.75, 0.7, 0.7)),
+        ([BESIDE, STUCK, BESIDE, BESIDE, BESIDE], (), (1.0, 0.75, 0.7, 1.0)),
         ([BESIDE, CLOSE, FELL, FELL, FINE], (), (0.4, 0.75, 0.7, 0.7)),
         ([BESIDE, FELL, FELL, CLOSE, FINE], ("gait.step_length",), (1.0, 1.0, 1.0, 0.7)),
         ([BESIDE, FELL, BESIDE, FINE], ("servo.window",), (1.0, 0.75, 0.7, 0.7)),
