@@ -17,8 +17,17 @@ _KINDS = ("*.urdf", "*.urdf.xacro", "*.xacro", "*.xml")
 """Names of robot descriptions, the most likely first; parts that others include are named like these as well."""
 _INCLUDED = re.compile(r"<(?:xacro:)?include\s[^>]*?file(?:name)?\s*=\s*[\"'][^\"']*?([^/\"']+)[\"']")
 """An element that includes a file, in xacro and in MJCF; the name of the file."""
+_OTHERS = (
+    (rb"(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<sdf\b", "an SDF", "sdformat-mjcf on PyPI does"),
+    (rb"#usda|PXR-USDC", "a USD scene", "nvidia-srl-usd-to-urdf on PyPI does"),
+    (rb"#VRML", "VRML, as the files of Webots and OpenHRP", "Webots exports a URDF"),
+    (rb"format:\s*ChoreonoidBody", "a body of Choreonoid", "most of these robots have a URDF as well"),
+)
+"""How files of other formats begin, what they are, and where their robots are found as URDF or MJCF."""
 _SHOWN = 8
 """Largest number of files in a message."""
+_BEGIN = 4096
+"""Number of bytes in which the format of a file shows."""
 _ADDRESS = re.compile(r"(https?|git|ssh):/|git@")
 
 
@@ -30,7 +39,7 @@ def description_in(path: pathlib.Path) -> pathlib.Path:
     Raises
     ------
     ModelError
-        If a folder holds no description or several, or if it is an archive or a web address.
+        If a folder holds no description or several, or if it is an archive, a web address, or of another format.
     """
     if path.is_dir():
         for kind in _KINDS:
@@ -45,6 +54,12 @@ def description_in(path: pathlib.Path) -> pathlib.Path:
         raise ModelError(f"'{path}' is a folder without a robot description: no URDF, xacro or MJCF")
     if path.is_file() and (zipfile.is_zipfile(path) or tarfile.is_tarfile(path)):
         raise ModelError(f"'{path}' is an archive: unpack it, and give the robot description in it")
+    if path.is_file():
+        with path.open("rb") as file:
+            begin = file.read(_BEGIN)
+        for begins, what, who in _OTHERS:
+            if re.match(begins, begin, re.DOTALL):
+                raise ModelError(f"'{path}' is {what}, which is not read: convert it to URDF or MJCF ({who})")
     if not path.exists() and _ADDRESS.match(str(path)):
         raise ModelError(
             f"'{path}' is a web address: download the robot description with its meshes, and give its file"

@@ -955,6 +955,25 @@ def test_a_folder_an_archive_and_an_address_lead_to_the_description_or_say_what_
     assert description_in(tmp_path / "none.urdf") == tmp_path / "none.urdf"  # what reads it says so
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            '<?xml version="1.0"?>\n<!-- a -->\n<sdf version="1.7"><model/></sdf>',
+            "is an SDF, .* convert it to URDF or MJCF",
+        ),
+        ("#usda 1.0\n", "is a USD scene"),
+        ("#VRML_SIM R2023b utf8\nPROTO Darwin [ ] { }", r"Webots exports a URDF"),
+        ("format: ChoreonoidBody\n", "is a body of Choreonoid"),
+    ],
+)
+def test_files_of_other_formats_are_named(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "robot"
+    path.write_text(text)
+    with pytest.raises(ModelError, match=message):
+        description_in(path)
+
+
 def test_a_trial_says_what_was_walked_and_what_its_report_finds() -> None:
     trials: list[tuple[Trial, Callable[[str], bool]]] = [
         (Trial("physics", True, 0.59, 0.6, ""), "physics: walked 0.590 m".__eq__),
