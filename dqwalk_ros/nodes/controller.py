@@ -35,7 +35,6 @@ from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import stands_still
 from dqwalk_ros.simulation import warm_up
-from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, StateError, one_line
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
 from dqwalk_ros.walks.stepping import SteppingWalk
@@ -46,6 +45,8 @@ __all__ = ["Controller", "Mode"]
 
 _MOVED = 0.1
 """Largest motion of a joint while the plant is not ready after which an interrupted walk continues [rad]."""
+_LEFT_ALONE = 1.0
+"""Longest time for which the plant may be not ready whatever the joints do: they come to rest where they hold [s]."""
 _TUNED = 1.5
 """Largest factor by which a parameter of the walk changes at once while the robot walks: Poppy's standing walk falls if
 its transfer takes half of its time."""
@@ -123,7 +124,7 @@ class Controller(AnsweringNode):
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._stamp0 = -1  # of the first state answered [ns]
         self._plant_ready, self._plant_warning = True, ""
-        self._left_at: Array | None = None  # angles at which the plant has interrupted the walk (n,) [rad]
+        self._left_at: State | None = None  # at which the plant has interrupted the walk
         self._ended_for = ""  # the warning that has ended the walk
         self._pausing = False  # the walk comes to a rest, where it is paused
         self._falls = FallWatch(
@@ -297,10 +298,11 @@ class Controller(AnsweringNode):
         if self._mode not in (Mode.WALKING, Mode.PAUSED) or not self._has_begun:
             self._left_at = None
         elif not self._plant_ready:
-            self._left_at = state.q if self._left_at is None else self._left_at
+            self._left_at = state if self._left_at is None else self._left_at
         elif self._left_at is not None:
-            moved, self._left_at = np.abs(state.q - self._left_at), None
-            if moved[k := int(moved.argmax())] > _MOVED:
+            left, self._left_at = self._left_at, None
+            moved = np.abs(state.q - left.q)
+            if moved[k := int(moved.argmax())] > _MOVED and state.time - left.time > _LEFT_ALONE:
                 name = self._model.joint_names[k]
                 self._fail(f"{name} has moved by {moved[k]:.2f} rad while the plant was not ready")
 

@@ -128,10 +128,10 @@ def test_a_plant_that_receives_no_commands_is_not_a_sensor_fault(make: Any, hold
         assert commands_motion(2)
 
 
-@pytest.mark.parametrize(("moved", "continues"), [(0.05, True), (0.3, False)])
+@pytest.mark.parametrize(("moved", "ticks", "continues"), [(0.05, 60, True), (0.3, 60, False), (0.3, 30, True)])
 @pytest.mark.parametrize("paused", [False, True])
 def test_a_walk_whose_robot_was_moved_while_the_torque_was_off_does_not_continue(
-    make: Any, moved: float, continues: bool, paused: bool
+    make: Any, moved: float, ticks: int, continues: bool, paused: bool
 ) -> None:
     """With the next ~/activate it would go on in mid-step, unasked."""
     node, stamps = make("controller", load("paper").updated({"dt": 0.02})), itertools.count(50)
@@ -147,12 +147,12 @@ def test_a_walk_whose_robot_was_moved_while_the_torque_was_off_does_not_continue
     if paused:
         node.call("~/pause", Trigger.Request())
     node.send("plant_ready", Bool(data=False))
-    assert not commands_motion(30, moved / 0.6)
+    assert not commands_motion(ticks, moved / (0.02 * ticks))  # a joint that comes to rest takes less than a second
     node.send("plant_ready", Bool(data=True))
     assert commands_motion(3) is (continues and not paused)
     answer = node.call("~/start", Trigger.Request())
     assert answer.success is continues
-    assert continues or "l_knee_y has moved by 0.29 rad while the plant was not ready" in answer.message
+    assert continues or "l_knee_y has moved by 0.3" in answer.message
     node.call("~/reset", Trigger.Request())
     node.send("plant_ready", Bool(data=False))
     assert node.call("~/start", Trigger.Request()).message == "walking once the plant is ready"
