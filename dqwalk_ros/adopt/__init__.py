@@ -195,7 +195,7 @@ def _adopted(
     check_names(urdf)
     repair_degrees(urdf)
     use_led_joints(urdf)
-    assume_masses(urdf, shapes)
+    guessed = assume_masses(urdf, shapes)
     anatomy = find_anatomy(urdf, shapes, **sides)
     list_massless(urdf)
     repair_inertias(urdf, shapes, anatomy.leg)
@@ -230,7 +230,12 @@ def _adopted(
         (folder / "whole_body.yaml").unlink(missing_ok=True)  # of a robot that was adopted here before
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
-    evidence = (*anatomy.evidence, *_mass_evidence(numbers), *driven, *_missing_evidence(shapes))
+    evidence = (
+        *anatomy.evidence,
+        *_mass_evidence(numbers, "guess" if guessed else "sure"),
+        *driven,
+        *_missing_evidence(shapes),
+    )
     found = Adoption(
         folder, config, model, anatomy, numbers, tuple(entries), evidence,
         tuple(dict.fromkeys((*urdf.repairs, *model.repairs))),
@@ -513,7 +518,8 @@ def _lock(urdf: Urdf, free: set[str]) -> tuple[str, ...]:
     return tuple(name if not angle else f"{name}={angle:.6g}" for name, angle in angles.items())
 
 
-def _mass_evidence(n: Numbers) -> list[Entry]:
+def _mass_evidence(n: Numbers, sure: str = "sure") -> list[Entry]:
+    """Return what follows from the masses, which are as `sure` as these."""
     ahead, model = 1e3 * n.standing.com[0], n.model
     foot = max(model.bodies[model.frames[sole.frame].body].mass for sole in model.soles.values())
     part = foot / model.mass
@@ -526,10 +532,10 @@ def _mass_evidence(n: Numbers) -> list[Entry]:
         *([heavy] if part > _HEAVY_FOOT else []),
         *([legs] if n.legs > HEAVY_LEGS else []),
         *([limits] if stuck else []),
-        Entry("mass", f"{n.model.mass:.4g} kg", "sum of the links"),
-        Entry("CoM in the posture", f"{ahead:.1f} mm forward, {n.height:.3f} m up", "posture"),
-        Entry("m g h", f"{n.mgh:.4g} N m/rad", "mass and height of the CoM"),
-        Entry("inertia of a leg", f"{n.inertia:.3g} kg m^2", "its bodies as point masses, about the hip"),
+        Entry("mass", f"{n.model.mass:.4g} kg", "sum of the links", sure),
+        Entry("CoM in the posture", f"{ahead:.1f} mm forward, {n.height:.3f} m up", "posture", sure),
+        Entry("m g h", f"{n.mgh:.4g} N m/rad", "mass and height of the CoM", sure),
+        Entry("inertia of a leg", f"{n.inertia:.3g} kg m^2", "its bodies as point masses, about the hip", sure),
         Entry("torque on one foot", f"{n.torque:.2f} of the effort limit", f"{n.joint}, statics", "likely"),
     ]
 

@@ -125,12 +125,12 @@ def check_density(urdf: Urdf, leg: float) -> None:
     )
 
 
-def assume_masses(urdf: Urdf, shapes: Shapes) -> None:
-    """Assume masses of the usual density within the convex hulls of the links if no link has a mass."""
+def assume_masses(urdf: Urdf, shapes: Shapes) -> bool:
+    """Assume masses of the usual density within the convex hulls of the links if no link has one; return whether."""
     import trimesh
 
     if any(link.inertial.mass for link in urdf.links.values()):
-        return
+        return False
     for name, link in urdf.links.items():
         for corners in shapes.hulls([name])[0].values():
             try:
@@ -145,6 +145,7 @@ def assume_masses(urdf: Urdf, shapes: Shapes) -> None:
             f"no link has a mass: {_DENSITY:g} kg/m^3 within the convex hulls of their shapes are assumed, "
             f"{mass:.3g} kg in all; weigh the robot and give --set robot.mass=KG"
         )
+    return True
 
 
 def list_massless(urdf: Urdf) -> None:

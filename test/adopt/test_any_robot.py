@@ -662,6 +662,7 @@ def test_a_robot_without_masses_has_those_of_the_volumes_of_its_links_and_can_be
     bare = edited(tmp_path, SMALL, (r"<inertial>.*?</inertial>", ""))
     found = adopt(bare, tmp_path / "out")
     (repair,) = [text for text in found.repairs if "no link has a mass" in text]
+    assert {entry.confidence for entry in found.evidence if entry.what in ("mass", "m g h")} == {"guess"}
     assert f"{found.model.mass:.3g} kg in all; weigh the robot and give --set robot.mass=KG" in repair
     foot = Urdf.load(found.folder / "robot.urdf").links["l_ankle_link"].inertial
     assert foot.mass == pytest.approx(500.0 * 0.033 * 0.033 * 0.022)
