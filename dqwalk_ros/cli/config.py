@@ -74,13 +74,13 @@ def config(
 def _check(name: str, made: Config) -> int:
     """Print the parameters that do not fit the robot; return 1 if there are any."""
     from dqwalk_ros.adopt.check import check, require_usable
-    from dqwalk_ros.config import Config
+    from dqwalk_ros.config import is_whole_body
     from dqwalk_ros.robot.model import load_model
 
     model = load_model(made.robot)
     for repair in model.repairs:
         print(f"repaired: {repair}")
-    if made.whole_body != Config().whole_body:
+    if is_whole_body(made):
         from dqwalk_ros.whole_body import WholeBodyController
 
         WholeBodyController(made, model)

@@ -100,13 +100,13 @@ def reach(
     Times are CPU time of this process; set OPENBLAS_NUM_THREADS=1, because more threads are not faster here.
     """
     from dqwalk_ros.cli.results import create
-    from dqwalk_ros.config import Config
+    from dqwalk_ros.config import is_whole_body
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
     from dqwalk_ros.whole_body.scenario import fitted
 
     made, out = config_of(config, changes), output.folder
-    if made.whole_body == Config().whole_body:
+    if not is_whole_body(made):
         raise ConfigError(f"'{config}' is not a configuration of the whole-body controller: it has no such section")
     if plant == "both" and not pushes:
         raise ConfigError("--plant both requires --pushes")

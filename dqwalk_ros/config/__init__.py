@@ -22,6 +22,7 @@ from dqwalk_ros.config.files import (
     find_share,
     from_yaml,
     is_foreign,
+    is_whole_body,
     load,
     overlaid,
     replaced,
@@ -46,6 +47,6 @@ from dqwalk_ros.config.sections import (
 __all__ = [
     "OF_RCLPY", "SHIPPED", "Config", "DynamicConfig", "GaitConfig", "MonitorConfig", "PhysicsConfig", "PoppyConfig",
     "RobotConfig", "SensorsConfig", "Spec", "Value", "WholeBodyConfig", "applies_from", "find_config", "find_file",
-    "find_params", "find_share", "from_yaml", "is_foreign", "load", "overlaid", "replaced", "resolved",
+    "find_params", "find_share", "from_yaml", "is_foreign", "is_whole_body", "load", "overlaid", "replaced", "resolved",
     "sections_of", "to_yaml", "with_files",
 ]  # fmt: skip

@@ -22,8 +22,8 @@ from dqwalk_ros.support.node_table import NODES
 
 __all__ = [
     "OF_RCLPY", "SHIPPED", "Section", "applies_from", "find_config", "find_file", "find_params",
-    "find_share", "from_yaml", "is_foreign", "load", "overlaid", "replaced", "resolved", "sections_of", "to_yaml",
-    "with_files",
+    "find_share", "from_yaml", "is_foreign", "is_whole_body", "load", "overlaid", "replaced", "resolved",
+    "sections_of", "to_yaml", "with_files",
 ]  # fmt: skip
 
 _MOST = 2000
@@ -99,6 +99,11 @@ def find_params(source: str | os.PathLike[str]) -> pathlib.Path:
         If it is neither.
     """
     return find_file("parameter file", source, "config/overlays", OVERLAYS)
+
+
+def is_whole_body(config: Config) -> bool:
+    """Return whether a configuration is one of the whole-body controller, which has no walk of phases."""
+    return config.whole_body != Config().whole_body
 
 
 def find_config(source: str | os.PathLike[str]) -> pathlib.Path:

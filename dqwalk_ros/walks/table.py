@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping
 
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import Config, is_whole_body
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.walk import PaperWalk, Walk
 from dqwalk_ros.robot.model import RobotModel
@@ -29,7 +29,7 @@ def walk_type(config: Config) -> type[Walk]:
         If ``gait.walk`` is not MODULE:CLASS, the class cannot be imported, or it is not a subclass of `Walk` that
         defines all its members; if the configuration is of the whole-body controller, which has no such walk.
     """
-    if config.whole_body != Config().whole_body:
+    if is_whole_body(config):
         raise ConfigError("this is a configuration of the whole-body controller: dqwalk reach --config CONFIG")
     own = config.gait.walk
     if not own:
