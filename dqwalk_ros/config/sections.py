@@ -85,6 +85,7 @@ class GaitConfig:
     step_side: float = parameter(0.0, "lateral part of each step, positive: left; not paper", "m", -0.2, 0.2)
     step_turn: float = parameter(0.0, "rotation of each step, positive: left; not paper", "rad", -0.8, 0.8)
     step_height: float = parameter(0.02, "height of the swing foot; larger: more clearance", "m", 0.001, 0.2, live=True)
+    climb: float = parameter(0.0, "dynamic: largest height of a step that is climbed by touch; 0: off", "m", 0.0, 0.1)
     most_length: float = parameter(0.05, "longest step that cmd_vel can command", "m", 0.0, 0.5, live=True)
     most_side: float = parameter(0.05, "longest lateral step that cmd_vel can command", "m", 0.0, 0.2, live=True)
     most_turn: float = parameter(0.1, "largest rotation per step that cmd_vel can command", "rad", 0.0, 0.8, live=True)

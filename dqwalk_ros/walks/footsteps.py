@@ -35,6 +35,8 @@ _ROWS = 18
 """Number of the residuals before those of the posture."""
 _STAIR = 1.5
 """Least height of a stair, relative to ``gait.footstep_tolerance``, up to which soles count as level."""
+_BEFORE, _OVERHANG = 0.07, 0.18
+"""Parts of the sole: from the toes to an obstacle before a foot climbs it, and beyond its edge when it stands on it."""
 _REMEMBERED = 100
 """Largest number of steps whose landing poses are remembered: a steered walk may take another one each time."""
 
@@ -194,6 +196,28 @@ class Footsteps:
                 raise StateError(f"footstep {k}, of the {support.other.value} foot: {error}") from None
             support = support.other
         return out
+
+    def climbing(self, stopped: Foot) -> list[Array]:
+        """Return the footprints (8,) of `planned` that climb an obstacle that has stopped the foot `stopped`.
+
+        Both feet stand a little before it; then one steps onto it, and the other one wholly. It is taken to be as high
+        as the lowest one that stops a foot.
+
+        Raises
+        ------
+        ConfigError
+            If the legs do not reach them.
+        """
+        length, support, wanted = self._model.soles[stopped].length, stopped, []
+        least = min(self.config.gait.step_height, self.config.gait.climb)
+        for part, up in (-_BEFORE, 0.0), (0.0, 0.0), (1.0 + _BEFORE - _OVERHANG, least), (0.5, 0.0), (0.0, 0.0):
+            pose = DQ(self.wanted(support, part * length, 0.0, 0.0))
+            wanted.append((DQ.from_pose([0.0, 0.0, up]) * pose).vec8())
+            support = support.other
+        try:
+            return self.planned(stopped, wanted)
+        except StateError as error:
+            raise ConfigError(f"gait.climb: {error}") from None
 
     def _allowed(self, support: Foot, wanted: Array) -> Array:
         """Return the reachable footprint nearest to a commanded one (8,); raise StateError if it violates a limit."""

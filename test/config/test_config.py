@@ -255,7 +255,7 @@ def test_a_ground_is_given_by_its_name() -> None:
     assert rough.servo.window < walk.servo.window
     assert rough.standing.swing_duration < walk.standing.swing_duration
     assert sorted(OVERLAYS) == sorted(path.stem for path in (ROOT / "config/overlays").iterdir())
-    with pytest.raises(ConfigError, match="no parameter file 'swamp': neither a file nor one of arms, rough, stairs"):
+    with pytest.raises(ConfigError, match="no parameter file 'swamp': neither a file nor one of arms, climb, rough"):
         with_files(walk, [Path("swamp")])
 
 

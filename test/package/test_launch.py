@@ -144,7 +144,7 @@ def test_a_configuration_is_a_file_or_a_shipped_name(start: Start) -> None:
 def test_parameters_are_a_file_or_a_shipped_name(start: Start) -> None:
     made = config_of(start(config="poppy_dynamic", params="rough")[0]["controller"])
     assert made.servo.window < load("poppy_dynamic").servo.window
-    with pytest.raises(ConfigError, match="no parameter file 'ruff': neither a file nor one of arms, rough"):
+    with pytest.raises(ConfigError, match="no parameter file 'ruff': neither a file nor one of arms, climb, rough"):
         start(params="ruff")
 
 

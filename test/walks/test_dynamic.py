@@ -384,6 +384,27 @@ def test_a_swing_clears_the_edge_of_a_stair_that_is_10_mm_from_the_sole(below: f
     assert np.abs(slope - 0.5 * (path[1:, 9] + path[:-1, 9])).max() < 0.02
 
 
+@pytest.mark.parametrize("stopped", [0.15, 0.3])
+@pytest.mark.parametrize("height", [None, 0.03])
+def test_a_climbing_foot_that_is_stopped_goes_back_down_or_stays_on_top(stopped: float, height: float | None) -> None:
+    start, goal = DQ.from_pose([-0.05, 0.08, -0.01]).vec8(), DQ.from_pose([0.07, 0.08, 0.02]).vec8()
+    swing, dt = Swing(start, goal, 0.02, level=-0.01), 0.001
+    poses = []
+    for t in np.arange(dt, 0.401, dt):
+        poses.append(swing.step(float(t), 0.4)[0])
+        if abs(t - stopped) < 1e-9:
+            assert swing.is_over(poses[-1][:2]) is (stopped > 0.2)
+            landing = swing.stop(poses[-1][:2], height)
+    path, at = np.array(poses), round(stopped / dt) - 1
+    assert path[-1, :2] == pytest.approx(landing, abs=1e-6)
+    assert landing == pytest.approx([-0.05, 0.08] if height is None else path[at, :2], abs=1e-9)
+    if height is None:  # to the ground before the stair, without a jump
+        assert path[-1, 2] == pytest.approx(0.0, abs=1e-6)
+        assert np.abs(np.diff(path[:, 2])).max() < 1e-3
+    else:
+        assert path[at + 1 :, 2] == pytest.approx(height, abs=1e-9)
+
+
 # ---------------------------------------------------------------------- the ground
 
 
@@ -569,6 +590,49 @@ def test_a_foot_that_an_obstacle_stops_lands_there(changes: dict[str, object], t
     bag.write(trace, tmp_path / "bag")
     missed = [found["message"] for found in report(analyse(bag.read(tmp_path / "bag")))["violations"]]
     assert any(trace.phases[stopped[0]].decision in message for message in missed)
+
+
+CLIMB = with_files(overlaid(CONFIG, "physics"), [Path("climb")]).updated({"qp.solver": "daqp"})
+
+
+@pytest.mark.parametrize(("rise", "onto"), [(0.02, True), (0.035, True), (0.06, False)])
+def test_a_walk_climbs_what_has_stopped_it_unless_that_is_too_high(rise: float, onto: bool) -> None:
+    """The foot is to land at 15 mm, and stays where it bears weight."""
+    config = CLIMB.updated({"gait.steps": 10, "physics.rise": rise, "physics.stairs_at": 0.2})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    trace = simulate(controller, plant)
+    assert trace.finished, trace.notes
+    heights = [DQ(plant.truth.soles[foot]).translation()[2] for foot in Foot]
+    assert heights == pytest.approx([onto * rise] * 2, abs=1e-3)
+
+
+def test_a_walk_that_cannot_climb_as_high_says_so() -> None:
+    with pytest.raises(ConfigError, match=r"gait\.climb: footstep 3, of the right foot: .* gait\.most_length is 0\.09"):
+        prepared(CLIMB.updated({"gait.most_length": 0.09}))
+
+
+def test_a_stance_is_the_end_of_every_step() -> None:
+    """Of its turn, too, which the steps of a walk straight ahead do not reduce: the walk would never end."""
+    walk = prepared(CONFIG)
+    kin = Kinematics(MODEL, walk.posture, Foot.LEFT)
+    phase = walk.one_foot(Foot.LEFT, kin, kin.pose(kin.swing))
+    walk._step_now, walk._together, walk._done = np.array([0.0, 0.0, 1e-4]), True, CONFIG.gait.steps
+    after = walk.following(phase, kin)
+    assert after is not None
+    assert after.kind is PhaseKind.STANCE
+    _, together = walk._after(walk._step_now, walk._done, Foot.RIGHT)
+    assert together
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("latency", [0.0, 0.02])
+def test_three_stairs_are_climbed_by_touch(latency: float) -> None:
+    changes = {"servo.latency": latency, "servo.assumed_latency": latency, "gait.steps": 60}
+    config = CLIMB.updated({**changes, "physics.rise": 0.025, "physics.stairs": 3})
+    controller, plant = make_controller(config, MODEL), make_plant("physics", config, MODEL)
+    trace = simulate(controller, plant)
+    assert trace.finished, trace.notes
+    assert all(DQ(plant.truth.soles[foot]).translation()[2] > 0.07 for foot in Foot)
 
 
 @pytest.mark.long

@@ -23,6 +23,8 @@ _TOP = 2.0 / (2.0 + _GENTLE)
 _SCALE = 1.0 / (_TOP**2 * (1.0 - _TOP) ** _GENTLE)
 _CLEAR = 0.15
 """Fraction of the duration without motion along the ground, in addition, on the lower side of the edge of a stair."""
+_DESCENDED = 0.9
+"""Largest part of the way down before a stair that the foot is taken to have behind it when it turns back."""
 
 
 @jit
@@ -57,8 +59,8 @@ class Swing:
     begun : float
         Time of the whole path before its start, on the descent from its largest height; zero if it starts on the
         ground [s].
-    goal : ndarray, shape (2,)
-        Landing position, which may be changed during the swing [m].
+    start, goal : ndarray, shape (2,)
+        Where the foot lifts off and where it lands, which may be changed during the swing [m].
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Swing:
             done = _descent(z / height)
             z, height = 0.0, z / _arch(done)[0]
         self.goal = b.translation()[:2]
+        self.start = np.array([x, y])
         self.begun = done * descent
         lift, land = _LIFT + _CLEAR * (climb > 0.0), _LAND + _CLEAR * (climb < 0.0) + still
         self._path = np.array([z, height, *a.vec4(), *half, np.linalg.norm(half), level, climb, lift, land])
@@ -89,10 +92,27 @@ class Swing:
         """Place [m] and velocity [m/s] of the path along the ground at the last time, (2,) each."""
         return self._state[2:4], self._state[4:]
 
-    def stop(self, place: Array) -> None:
-        """Let the foot land at a place (2,) [m], at which it is now."""
-        self.goal = place
+    def is_over(self, place: Array) -> bool:
+        """Return whether the foot steps up, and is past half of its way at `place` (2,) [m], so over the stair."""
+        left, whole = self.goal - place, self.goal - self.start
+        return bool(self._path[11] > 0.0 and left @ left < 0.25 * whole @ whole)
+
+    def stop(self, place: Array, height: float | None = None) -> Array:
+        """Let the foot land at `place` (2,) [m], at which it is now; return where it lands.
+
+        It stays at a `height` over the supporting sole [m]. Without one, a foot that climbs goes back to its start.
+        """
+        self.goal, path, s = place, self._path, float(self._state[0])
+        level, climb = path[10:12]
+        if height is not None:
+            path[:2], path[10:12] = 0.0, (height, 0.0)
+        elif climb > 0.0:
+            way = 1.0 - min(minimum_jerk(2.0 * s - 1.0)[0], _DESCENDED)
+            path[10] = (level + climb * minimum_jerk(2.0 * s)[0]) / way
+            path[11] = -path[10]
+            self.goal = self.start
         self._state[2:4], self._state[4:] = place, 0.0
+        return self.goal
 
     def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
         """Advance to a time and return the motion there.

@@ -8,6 +8,7 @@ force acts. Before and after the walk, a stance brings the CoM to rest between t
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -61,6 +62,10 @@ _STOPPED = 0.1
 """Part of the sole's length from which on a foot behind its path is stopped by an obstacle."""
 _ON_THE_SPOT = 4
 """Number of steps on the spot after an obstacle has stopped a foot, before the walk tries again."""
+_HIGHER = 0.002
+"""Height over its planned landing from which on a foot that bears weight is on a step that is higher [m]."""
+_BEARS = 0.3
+"""Fraction of the weight from which on a swing foot has landed."""
 _OUTWARDS = 3.0
 """Error away from the swing foot above which a push tips the sole, as a multiple of the error that adjusts a step."""
 _RESIDUAL = 0.002
@@ -124,6 +129,7 @@ class DynamicWalk(SteppingWalk):
             )
         self._step_now = np.zeros(3)  # length, side and turn of the current step
         self._resumes = 0  # step before which it steps on the spot
+        self._onto: dict[Foot, list[Array]] = {}  # footprints onto what has stopped a foot, with ``gait.climb``
         self._mass = model.mass
         self._assume(Drive.of(config, model))
         self._known: Phase | None = None
@@ -170,6 +176,8 @@ class DynamicWalk(SteppingWalk):
         for base in Foot:
             M = swing_inertia(Kinematics(self.model, self.posture, base))
             self._inertia[base] = M + np.diag(np.where(M.diagonal() > 0.0, self._drive.armature, 0.0))
+        if self.config.gait.climb:
+            self._onto = {foot: self.footsteps.climbing(foot) for foot in Foot}
 
     def _carried(self) -> Carried:
         """Return where the CoM is while both feet stand: about halfway between the soles."""
@@ -199,7 +207,10 @@ class DynamicWalk(SteppingWalk):
             over = self._together and ended and not self._planned
             return None if over else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
-            return Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
+            if not self._together:
+                return Next(PhaseKind.DOUBLE_SUPPORT, phase.support.other)
+            self._step_now = np.zeros(3)
+            return Next(PhaseKind.STANCE, phase.support.other)
         self._step_now, self._together = self._after(self._step_now, self._done, phase.support)
         self._done += 1
         if self._planned:
@@ -369,9 +380,7 @@ class DynamicWalk(SteppingWalk):
         flight, change = self._flight, None
         if flight is not None:
             change = self._adjust_step(flight, phase, c, t)
-            if stopped := self._stopped(phase, kin, state, *flight.swing.along, self._advance, _STOPPED):
-                self._land_here(flight, phase, kin)
-                change = stopped
+            change = self._meets(flight, phase, kin, state) or change
         elif isinstance(self._reference, Pressed):
             change = self._adjust_transfer(self._reference, phase, phase.rule, t)
         self._answer(phase, phase.rule, state, up, t)
@@ -471,20 +480,42 @@ class DynamicWalk(SteppingWalk):
             f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
         )
 
-    def _land_here(self, flight: _Flight, phase: Phase, kin: Kinematics) -> None:
-        """Let the swing foot land where it is, and step on the spot for a while; drop commanded footsteps."""
-        here = kin.point(kin.swing)[:2]
+    def _meets(self, flight: _Flight, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+        """Let the swing foot land where it is if it has met an obstacle, or a step that is higher than planned.
+
+        Return that as a change. After an obstacle commanded footsteps are dropped. With ``gait.climb``, and if the
+        loads of the feet are known, the robot climbs it, unless it did so already; otherwise it steps on the spot.
+        """
+        assert phase.swing_target is not None
+        swings, target = phase.base.other, DQ(phase.swing_target).translation()
+        if target[2] > 0.0 and state.loads is not None and share_of(swings, state.loads) > _BEARS:
+            here = kin.point(kin.swing)
+            higher = float(here[2] - target[2])
+            if higher > _HIGHER and flight.swing.is_over(here[:2]):
+                self._aimed = None
+                self._land_here(flight, phase, here, float(here[2]))
+                return Change(f"the foot is on a step, {1e3 * higher:.0f} mm higher than planned")
+        stopped = self._stopped(phase, kin, state, *flight.swing.along, self._advance, _STOPPED)
+        if stopped is not None:
+            here = kin.point(kin.swing)
+            ahead, aside = (target - here)[:2].tolist()
+            climbs = self._onto and state.loads is not None and self._aimed is None and ahead > abs(aside)
+            self._planned, self._aimed = deque(self._onto[swings] if climbs else ()), None
+            self._step_now, self._resumes = np.zeros(3), self._done + _ON_THE_SPOT
+            self._land_here(flight, phase, here)
+        return stopped
+
+    def _land_here(self, flight: _Flight, phase: Phase, place: Array, height: float | None = None) -> None:
+        """Let the swing foot land at `place` (>= 2,) [m], at which it is now; see `Swing.stop` for the `height`."""
         assert phase.swing_target is not None
         assert isinstance(self._reference, Pressed)
+        here = flight.swing.stop(place[:2], height)
         missed = here - DQ(phase.swing_target).translation()[:2]
         target = (DQ.from_pose([*missed, 0.0]) * DQ(phase.swing_target)).vec8()
-        self._planned.clear()
-        self._step_now, self._resumes = np.zeros(3), self._done + _ON_THE_SPOT
         _, ((_, end), *_) = self._plan(phase.support, Footprint(), target)
         landing = self._aim(phase.base.other, Footprint.of(target))
         flight.step = replace(flight.step, landing=landing, offset=end - landing, reach=np.zeros(2))
         self._reference = replace(self._reference, end=end)
-        flight.swing.stop(here)
         flight.goal, flight.shift = here, np.zeros(2)
 
     @staticmethod
@@ -569,7 +600,9 @@ class DynamicWalk(SteppingWalk):
         start = (DQ(self._ground.tip(kin.up, self._unsure)).conj() * DQ(kin.pose(kin.swing))).vec8()
         whole, level = (rule.duration, 0.0) if descends else (0.0, self._level(kin))
         still = d.land_late / (rule.duration + d.land_late)  # while the foot only comes down
-        swing = Swing(start, target, self.config.gait.step_height, whole, level, still)
+        gait, up = self.config.gait, float(DQ(target).translation()[2])
+        lift = gait.step_height + (max(gait.climb - up, 0.0) if up > 0.0 else 0.0)
+        swing = Swing(start, target, lift, whole, level, still)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
         self._flight = _Flight(rule, step, swing, swing.goal, lost=self._confirmed if self._pushed else 0)
