@@ -89,15 +89,16 @@ _GAP = 0.1
 class _Flight:
     """A single support whose landing may be adjusted.
 
-    `goal` is the planned landing position and `shift` its displacement [m]; `lost` is the number of consecutive states
-    whose error exceeds the threshold, `most` the largest error that the ankle cannot compensate, and `outwards` the
-    largest one away from the swing foot [m].
+    `goal` is the planned landing position, `up` its height over the sole that stands, and `shift` its displacement [m];
+    `lost` is the number of consecutive states whose error exceeds the threshold, `most` the largest error that the ankle
+    cannot compensate, and `outwards` the largest one away from the swing foot [m].
     """
 
     rule: Timed
     step: Step
     swing: Swing
     goal: Array
+    up: float
     shift: Array = field(default_factory=lambda: np.zeros(2))
     lost: int = 0
     most: float = 0.0
@@ -487,10 +488,10 @@ class DynamicWalk(SteppingWalk):
         loads of the feet are known, the robot climbs it, unless it did so already; otherwise it steps on the spot.
         """
         assert phase.swing_target is not None
-        swings, target = phase.base.other, DQ(phase.swing_target).translation()
-        if target[2] > 0.0 and state.loads is not None and share_of(swings, state.loads) > _BEARS:
+        swings = phase.base.other
+        if flight.up > 0.0 and state.loads is not None and share_of(swings, state.loads) > _BEARS:
             here = kin.point(kin.swing)
-            higher = float(here[2] - target[2])
+            higher = float(here[2]) - flight.up
             if higher > _HIGHER and flight.swing.is_over(here[:2]):
                 self._aimed = None
                 self._land_here(flight, phase, here, float(here[2]))
@@ -498,7 +499,7 @@ class DynamicWalk(SteppingWalk):
         stopped = self._stopped(phase, kin, state, *flight.swing.along, self._advance, _STOPPED)
         if stopped is not None:
             here = kin.point(kin.swing)
-            ahead, aside = (target - here)[:2].tolist()
+            ahead, aside = (DQ(phase.swing_target).translation() - here)[:2].tolist()
             climbs = self._onto and state.loads is not None and self._aimed is None and ahead > abs(aside)
             self._planned, self._aimed = deque(self._onto[swings] if climbs else ()), None
             self._step_now, self._resumes = np.zeros(3), self._done + _ON_THE_SPOT
@@ -605,7 +606,7 @@ class DynamicWalk(SteppingWalk):
         swing = Swing(start, target, lift, whole, level, still)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
-        self._flight = _Flight(rule, step, swing, swing.goal, lost=self._confirmed if self._pushed else 0)
+        self._flight = _Flight(rule, step, swing, swing.goal, up, lost=self._confirmed if self._pushed else 0)
         return reference
 
     def _plan(
