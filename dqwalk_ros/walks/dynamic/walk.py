@@ -90,8 +90,8 @@ class _Flight:
     """A single support whose landing may be adjusted.
 
     `goal` is the planned landing position, `up` its height over the sole that stands, and `shift` its displacement [m];
-    `lost` is the number of consecutive states whose error exceeds the threshold, `most` the largest error that the ankle
-    cannot compensate, and `outwards` the largest one away from the swing foot [m].
+    `lost` is the number of consecutive states whose error exceeds the threshold, `most` the largest error that the
+    ankle cannot compensate, and `outwards` the largest one away from the swing foot [m].
     """
 
     rule: Timed
