@@ -33,7 +33,7 @@ OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 SHIPPED = ("paper", "poppy", "poppy_dynamic", "poppy_dynamic_50hz", "whole_body")
 """Names of the configurations in ``config/``."""
-OVERLAYS = ("arms", "climb", "rough", "stairs", "stairs_down")
+OVERLAYS = ("arms", "climb", "rough", "rough_50hz", "stairs", "stairs_down")
 """Names of the parameter files in ``config/overlays/``."""
 
 
