@@ -208,10 +208,7 @@ class DynamicWalk(SteppingWalk):
             over = self._together and ended and not self._planned
             return None if over else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
-            if not self._together:
-                return Next(PhaseKind.DOUBLE_SUPPORT, phase.support.other)
-            self._step_now = np.zeros(3)
-            return Next(PhaseKind.STANCE, phase.support.other)
+            return Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
         self._step_now, self._together = self._after(self._step_now, self._done, phase.support)
         self._done += 1
         if self._planned:
@@ -258,7 +255,8 @@ class DynamicWalk(SteppingWalk):
             wanted = np.zeros(3) if stopping else np.array(self._step_at(self._twist))
             ended = not wanted.any()
             wanted = np.zeros(3) if on_the_spot else wanted
-        change = most / (ramp + 1)
+        # what no step may have, such as the turn that was left of a commanded footprint, ends at once
+        change = np.where(most > 0.0, most / (ramp + 1), np.inf)
         new = step + np.minimum(np.maximum(wanted - step, -change), change)
         return new, bool(ended and np.abs(new).max() < 1e-9)
 
