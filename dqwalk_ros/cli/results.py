@@ -20,8 +20,8 @@ from dqwalk_ros.support.output import refuse_existing, write_text, written
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dqwalk_ros.report import Series
     from dqwalk_ros.report.figures.style import Drawn
+    from dqwalk_ros.trace import Trace
 
 __all__ = ["create", "prepare", "prepare_study", "write_report", "write_results", "write_study"]
 
@@ -165,10 +165,14 @@ def _wrong(found: Any) -> list[str]:
     return [violation["message"] for violation in found.get("violations", ())] + missed
 
 
-def write_results(series: Series, output: Report) -> dict[str, Any]:
+def write_results(trace: Trace, output: Report) -> dict[str, Any]:
     """Write and print the report of a walk of phases and its figures as `write_report`, and return the report."""
+    from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.report import figures
 
-    found = reporting.report(series)
+    with Progress(quiet=output.quiet) as bar:
+        bar.stage(0.0, "computing")
+        series = reporting.analyse(trace)
+        found = reporting.report(series)
     write_report(output, found, reporting.render(found), figures.drawn(series))
     return found

@@ -175,7 +175,7 @@ class _Progress:
         self._phases = walk_type(config).phases(config) or math.inf
         self.last: dict[str, Any] = {}
         self.took = 0.0
-        self._began = self._last_progress = time.monotonic()
+        self._last_progress = time.monotonic()
         self._first: tuple[float, int] | None = None  # time and ticks of the first report
 
     def update(self) -> None:
@@ -210,8 +210,7 @@ class _Progress:
             return
         if self._first is None:
             compiling = COMPILING in self._processes.log("controller")
-            what = COMPILING if compiling else "starting the nodes"
-            self._progress(0.0, f"{what}, {time.monotonic() - self._began:.0f} s")
+            self._progress(0.0, COMPILING if compiling else "starting the nodes")
             return
         line = self.last
         done = line["time"] / self._duration if self._duration else line["phase_index"] / self._phases

@@ -45,7 +45,7 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
     from dqwalk_ros.plants.table import make_plant
-    from dqwalk_ros.report import analyse, bag
+    from dqwalk_ros.report import bag
     from dqwalk_ros.report.table import why
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.walks.course import Course
@@ -76,7 +76,7 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
         with Progress(quiet=output.quiet) as bar:
             trace = simulation.simulate(controller, body, progress=progress, before_step=before_step)
         bag.write(trace, output.folder / "bag")
-        report = write_results(analyse(trace), output)
+        report = write_results(trace, output)
         if not trace.finished:
             print(f"dqwalk: {'; '.join([*trace.notes, *why(report)[:1]])}", file=sys.stderr)
         if feed is not None:

@@ -39,7 +39,7 @@ def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, ou
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare, write_results
     from dqwalk_ros.cli.runner import run_walk
-    from dqwalk_ros.report import analyse, bag
+    from dqwalk_ros.report import bag
     from dqwalk_ros.walks.table import walk_type
 
     check_ros_environment()
@@ -62,11 +62,13 @@ def walk(config: Config, course: tuple[str, ...], plant: str, realtime: bool, ou
     if not outcome.finished and not outcome.ticks:
         return 1  # what was recorded, if anything, is a walk of other nodes
     try:
-        trace = bag.read(outcome.bag, walk=config.gait.walk)
+        with Progress(quiet=output.quiet) as bar:
+            bar.stage(0.0, "reading")
+            trace = bag.read(outcome.bag, walk=config.gait.walk)
     except BagError as error:
         if outcome.finished:
             raise
         print(f"dqwalk: no report: {error}", file=sys.stderr)
         return 1
-    report = write_results(analyse(trace), output)
+    report = write_results(trace, output)
     return 0 if outcome.finished and report["ok"] else 1

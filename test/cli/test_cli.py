@@ -558,12 +558,19 @@ def test_a_package_of_another_python_is_named_before_a_program_has_begun(tmp_pat
 # ---------------------------------------------------------------------- progress
 
 
-def test_progress_is_shown_on_a_terminal_only(capsys):
-    with Progress() as bar:  # in a pipe
-        bar.stage(0.5, "reading")
-        bar(0.7, "reading")
-        bar.print("a line")
-    assert capsys.readouterr() == ("a line\n", "")
+def test_progress_in_a_file_is_a_line_every_ten_seconds(capsys, monkeypatch):
+    now = 0.0
+    monkeypatch.setattr("dqwalk_ros.cli.progress.time.monotonic", lambda: now)
+    for quiet, err in ((False, " 70 % walking\n100 % drawing\n"), (True, "")):
+        with Progress(quiet=quiet) as bar:
+            bar.stage(0.5, "reading")
+            for passed in (4.0, 8.0):  # [s]
+                now += passed
+                bar(0.7, "walking")
+            bar.print("a line")
+            now += 11.0
+            bar.stage(1.0, "drawing")
+        assert capsys.readouterr() == ("a line\n", err)
 
 
 def test_progress_shows_fraction_text_and_time_left(capsys, monkeypatch):
@@ -574,7 +581,7 @@ def test_progress_shows_fraction_text_and_time_left(capsys, monkeypatch):
     assert "single_support/left" not in capsys.readouterr().out
     with Progress() as bar:
         bar.stage(0.5, "reading")
-    assert re.search("50 %.*reading", capsys.readouterr().err)
+    assert re.search("50 %.* 00:00<00:00 reading", capsys.readouterr().err)
     with Progress(quiet=True) as bar:
         bar(0.5, "never")
         bar.stage(0.5, "never")
