@@ -1,24 +1,51 @@
 """Files of other ROS packages: resolution of ``package://`` names, and expansion of xacro files that include them.
 
 A package is searched among the installed ones, and among the folders around the file that refers to it. So a robot
-description that was cloned or unpacked can be used without installing it.
+description that was cloned or unpacked, also under another name, can be used without installing it.
 """
 
 from __future__ import annotations
 
+import codecs
 import glob
+import io
 import os
 import pathlib
+import re
 import urllib.parse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["expanded", "find_package_file", "is_pointer"]
+__all__ = ["decoded", "expanded", "find_package_file", "is_pointer"]
 
 
 POINTER = b"version https://git-lfs"
 """Beginning of the file that Git has in place of a large one which it has not fetched."""
+_EAST_ASIAN = ("gb2312", "gbk", "gb18030", "big5", "shift_jis", "euc-jp", "euc-kr")
+"""Encodings of text that the XML parser does not know."""
+_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
+"""The name of a package in its package.xml."""
+_ABOVE = 6
+"""Number of folders above a file that are searched for what it refers to."""
+
+
+def decoded(content: bytes) -> bytes | str:
+    """Return the text of an XML file whose encoding the XML parser does not know or that is not the one it declares.
+
+    Other files are returned as they are.
+    """
+    declared = re.match(rb"<\?xml[^>]{0,80}?encoding\s*=\s*[\"']([\w.:-]{1,40})", content)
+    name = declared[1].decode().lower() if declared else ""
+    if name in _EAST_ASIAN:
+        return content.decode(name, "replace")
+    if name in ("", "utf-8") and not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        try:
+            content.decode()
+        except UnicodeDecodeError:  # a file saved on Windows, whose names and comments are in its encoding
+            return content.decode("iso-8859-1")
+    return content
 
 
 def expanded(
@@ -41,19 +68,23 @@ def expanded(
         raise ModelError(
             f"'{path}' is a xacro file: pip install xacro, or expand it (xacro {path.name} > robot.urdf)"
         ) from error
-    original = substitution_args._eval_find
+    originals = substitution_args._eval_find, xacro.parse
     missing: list[str] = []
 
     def find(package: str) -> str:
-        near = [pathlib.Path(place) / package for place in places]
-        near += [pathlib.Path(place) for place in places if pathlib.Path(place).resolve().name == package]
-        folder = next((place for place in near if place.is_dir()), None) or _package(package, path)
+        folder = _package(package, path, places)
         if folder is None:
             missing.append(package)
             raise LookupError(package)
         return str(folder)
 
-    substitution_args._eval_find = find
+    def parse(content: Any, filename: str | None = None) -> Any:
+        if content is None and filename and _is_file(pathlib.Path(filename)):
+            content = decoded(pathlib.Path(filename).read_bytes())
+            content = content if isinstance(content, str) else io.BytesIO(content)
+        return originals[1](content, filename)
+
+    substitution_args._eval_find, xacro.parse = find, parse
     try:
         return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml()).encode()
     except (Exception, SystemExit) as error:  # xacro raises errors of its own, of XML parsing and of Python
@@ -64,22 +95,42 @@ def expanded(
             ) from error
         why = " ".join(str(error).split())[:300]
         why += "; give it by --xacro NAME=VALUE" if "substitution argument" in why else ""
-        why += "; save it, and the files that it includes, as UTF-8" if isinstance(error, UnicodeError) else ""
         raise ModelError(f"xacro refuses '{path}': {why}") from error
     finally:
-        substitution_args._eval_find = original
+        substitution_args._eval_find, xacro.parse = originals
 
 
-def _package(name: str, near: pathlib.Path) -> pathlib.Path | None:
-    """Return the folder of a ROS package: an installed one, or a folder of that name around the file `near`."""
-    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    places = [pathlib.Path(p) / "share" / name for p in prefixes]
-    for folder in near.resolve().parents:
-        places += [folder] if folder.name == name else []
-        places += [folder / name]
-    extra = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    places += [pathlib.Path(p) / name for p in extra if p]
-    return next((place for place in places if place.is_dir()), None)
+def _package(name: str, near: pathlib.Path, places: Sequence[str | os.PathLike[str]] = ()) -> pathlib.Path | None:
+    """Return the folder of a ROS package: in one of `places`, an installed one, or one around the file `near`."""
+    paths = {key: os.environ.get(key, "").split(os.pathsep) for key in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")}
+    installed = [pathlib.Path(prefix) / "share" for prefix in paths["AMENT_PREFIX_PATH"] if prefix]
+    around = [*near.resolve().parents]
+    sources = [pathlib.Path(path) for path in paths["ROS_PACKAGE_PATH"] if path]
+
+    def candidates() -> Iterator[pathlib.Path]:
+        for place in map(pathlib.Path, places):
+            yield from (place / name, place, *_inside(place))
+        yield from (folder / name for folder in installed)
+        for level, folder in enumerate(around):
+            yield from (folder, folder / name, *(_inside(folder) if level < _ABOVE else ()))
+        yield from (folder / name for folder in sources)
+
+    return next((folder for folder in candidates() if _is_package(folder, name)), None)
+
+
+def _inside(folder: pathlib.Path) -> list[pathlib.Path]:
+    """Return the folders in a folder that are packages."""
+    return sorted(manifest.parent for manifest in folder.glob("*/package.xml"))
+
+
+def _is_package(folder: pathlib.Path, name: str) -> bool:
+    """Return whether a folder is the package of that name, by its package.xml or by the folder's own name."""
+    try:
+        declared = _NAME.search((folder / "package.xml").read_bytes())
+    except OSError:
+        declared = None
+    names = [folder.resolve().name, *([declared[1].decode(errors="replace")] if declared else [])]
+    return name in names and folder.is_dir()
 
 
 def find_package_file(
@@ -102,17 +153,16 @@ def find_package_file(
         rest, found = uri, [near.parent / uri]
     elif scheme in ("package", "model"):
         package, _, inside = rest.partition("/")
-        more = [pathlib.Path(place) for place in places]
-        folder = _package(package, near)
-        found = [*(place / package / inside for place in more), *(place / inside for place in more)]
-        found += [folder / inside] if folder else []
+        folder = _package(package, near, places)
+        found = [folder / inside] if folder else []
+        found += [pathlib.Path(place) / inside for place in places]
     else:
         rest = urllib.parse.unquote(rest)
         found = [pathlib.Path(uri.partition("://")[2]), pathlib.Path(rest)]
     # a package that was copied under another name or in part, and the path of another machine
     parts = pathlib.PurePosixPath(rest.replace("\\", "/").lstrip("/")).parts
     tails = [pathlib.PurePosixPath(*parts[k:]) for k in range(len(parts) - 1) if ".." not in parts[k:]]
-    found += [above / tail for tail in tails for above in near.resolve().parents[:6]]
+    found += [above / tail for tail in tails for above in near.resolve().parents[:_ABOVE]]
     if parts:
         tails.append(pathlib.PurePosixPath(parts[-1]))
         found += [pathlib.Path(place) / tail for place in places for tail in tails]

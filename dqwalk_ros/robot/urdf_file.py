@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from dqwalk_ros.robot.packages import POINTER
+from dqwalk_ros.robot.packages import POINTER, decoded
 from dqwalk_ros.support.errors import ModelError, kinds
 
 __all__ = ["LARGEST", "MOST_BYTES", "elements", "place"]
@@ -30,8 +30,6 @@ LARGEST = 1e6
 _MOST_ERRORS = 8
 _COMMAS = re.compile(r"[^\s,]+(\s*,\s*[^\s,]+)+,?")
 """Numbers with a comma between each two; other commas may be those of decimals."""
-_EAST_ASIAN = ("gb2312", "gbk", "gb18030", "big5", "shift_jis", "euc-jp", "euc-kr")
-"""Encodings of text that the XML parser does not know."""
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _PARTS = {
     "robot": ("link", "joint", "material"),
@@ -128,15 +126,8 @@ def _parsed(data: bytes | str, source: str) -> ElementTree.Element:
     if len(content) > MOST_BYTES:
         raise ModelError(f"{source}: not a robot description: more than {MOST_BYTES >> 20} MiB")
     content = _declared_first(content)
-    declared = re.match(rb"<\?xml[^>]{0,80}?encoding\s*=\s*[\"']([\w.:-]{1,40})", content)
-    name = declared[1].decode().lower() if declared else ""
-    if encoding is None and name in _EAST_ASIAN:
-        content, encoding = content.decode(name, "replace").encode(), "utf-8"
-    elif encoding is None and name in ("", "utf-8"):
-        try:
-            content.decode()
-        except UnicodeDecodeError:  # a file saved on Windows, whose names and comments are in its encoding
-            encoding = "iso-8859-1"
+    if encoding is None and isinstance(text := decoded(content), str):
+        content, encoding = text.encode(), "utf-8"
     parser = expat.ParserCreate(encoding)
     document = _Element("")
     stack: list[_Element | None] = [document]
@@ -171,7 +162,7 @@ def _parsed(data: bytes | str, source: str) -> ElementTree.Element:
     except expat.ExpatError as error:
         raise ModelError(f"{source}: {_no_xml(content) or f'not XML: {error}'}") from error
     except (ValueError, LookupError) as error:
-        raise ModelError(f"{source}: its encoding '{name}' is not known: save it as UTF-8") from error
+        raise ModelError(f"{source}: {error}; save it as UTF-8") from error
     root = document[0]
     if unprefixed and root.find("link") is None:
         raise ModelError(

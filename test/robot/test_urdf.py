@@ -171,7 +171,7 @@ def test_a_file_is_read_in_its_encoding(encoding: str) -> None:
     assert list(Urdf(text.encode(encoding), "x").links) == [name]
     text = text.replace(encoding, "klingon")
     assert list(Urdf(text, "x").links) == [name]  # a text has no encoding
-    with pytest.raises(ModelError, match="its encoding 'klingon' is not known: save it as UTF-8"):
+    with pytest.raises(ModelError, match="x: unknown encoding: klingon; save it as UTF-8"):
         Urdf(text.encode(), "x")
 
 
@@ -275,3 +275,33 @@ def test_xacro_is_expanded(tmp_path: Path) -> None:
     path.write_text(path.read_text()[:-20])
     with pytest.raises(ModelError, match="xacro refuses"):
         Urdf.load(path)
+
+
+def test_a_package_has_the_name_of_its_manifest(tmp_path: Path) -> None:
+    """A clone may be named after its repository, and a folder of Python modules in it after the package."""
+    clone, parts = tmp_path / "clone", tmp_path / "clone-of-parts"
+    for folder, name in ((clone, "my_robot"), (parts, "parts")):
+        (folder / "urdf").mkdir(parents=True)
+        (folder / "package.xml").write_text(f"<package><name> {name} </name></package>")
+    (clone / "my_robot").mkdir()
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    (parts / "urdf" / "b.xacro").write_text(f'{head}<link name="b"/></robot>')
+    (clone / "urdf" / "more.xacro").write_text(f'{head}<link name="a"/></robot>')
+    path, include = clone / "urdf" / "my.xacro", '<xacro:include filename="$(find {})/urdf/{}.xacro"/>'
+    path.write_text(head + include.format("my_robot", "more") + "</robot>")
+    assert list(Urdf.load(path).links) == ["a"]
+    path.write_text(head + include.format("parts", "b") + "</robot>")
+    assert list(Urdf.load(path).links) == ["b"]
+    path.rename(tmp_path / "my.xacro")
+    assert list(Urdf.load(tmp_path / "my.xacro", [parts]).links) == ["b"]
+
+
+def test_xacro_files_are_read_in_their_encoding(tmp_path: Path) -> None:
+    head = (
+        '<?xml version="1.0" encoding="utf-8"?><!-- {} --><robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    )
+    path, more = tmp_path / "my.xacro", tmp_path / "more.xacro"
+    include = '<xacro:include filename="more.xacro"/></robot>'
+    path.write_text(head.format("b\u00edpedo") + include, "latin-1")  # as an editor on Windows saves it
+    more.write_text(head.format("\u8db3").replace("utf-8", "GB2312") + '<link name="\u8db3"/></robot>', "GB2312")
+    assert list(Urdf.load(path).links) == ["\u8db3"]
