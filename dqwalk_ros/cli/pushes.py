@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -130,11 +131,10 @@ def pushes(
     if made.gait.style == "paper":
         raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
     moments = (study.MOMENTS[1:] if bottle else study.MOMENTS) if moment == "all" else (moment,)
-    given: dict[str, Any] = {"duration": duration, "part": part, "tolerance": tolerance}
-    given |= {"bottle": bottle or 0.0, "link": link or ""}
+    like = study.Push(moments[0], 0.0, 0.0, duration, part, bottle or 0.0, link or "")
     prepare_study(many, "limits.jsonl", "pushes.csv", "pushes.txt", "pushes.png")
     with many.options("directions") as options:
-        found = study.limits(made, many.folder, moments, directions, **given, **options)
+        found = study.limits(made, many.folder, like, moments, directions, tolerance=tolerance, **options)
     head = ["moment", "direction_deg", "survived_Ns", "failed_Ns", "reason"]
     rows = [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found]
     by_moment = {_LABELS[key]: [one for one in found if one.moment == key] for key in moments}
@@ -147,7 +147,7 @@ def pushes(
             pendulum = PushCeiling(made, model)
 
             def ceiling(one: Limit) -> float:
-                return pendulum.of(study.Push(one.moment, one.direction, one.survived, part=part))
+                return pendulum.of(replace(like, moment=one.moment, direction=one.direction))
 
         text = table(found, f"impulse of a push of {duration:g} s on {where}", study.impulse_scale(made), ceiling)
         figure = pushes_figure(by_moment, f"{model.name}: largest push on {where} survived [N s]")

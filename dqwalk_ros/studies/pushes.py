@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -200,25 +200,16 @@ def _due(controller: VelocityController, time: float, number: int, part: float) 
     return steps and since >= part * swing - 1e-9
 
 
-def limit(
-    config: Config,
-    duration: float,
-    part: float,
-    bottle: float,
-    link: str,
-    tolerance: float,
-    index: int,
-    point: Mapping[str, Any],
-) -> Limit:
+def limit(config: Config, like: Push, tolerance: float, index: int, point: Mapping[str, Any]) -> Limit:
     """Find the largest impulse that is survived at the moment and in the direction of `point`, to a tolerance [N s].
 
-    Duration, part, bottle and link are those of `Push`; the index is not used.
+    In all else the pushes are like one of them; the index is not used.
     """
     scale = impulse_scale(config)
-    most = farthest_momentum(bottle) if bottle else _MOST * scale
+    most = farthest_momentum(like.bottle) if like.bottle else _MOST * scale
 
     def fails(impulse: float) -> str:
-        return pushed(config, Push(point["moment"], point["direction"], impulse, duration, part, bottle, link))
+        return pushed(config, replace(like, impulse=impulse, **point))
 
     return Limit(**point, **largest(fails, _FIRST * scale, most, tolerance)._asdict())
 
@@ -226,24 +217,20 @@ def limit(
 def limits(
     config: Config,
     out: Path,
+    like: Push,
     moments: Sequence[str] = MOMENTS,
     directions: int = 8,
     *,
-    duration: float = 0.1,
-    part: float = 0.5,
-    bottle: float = 0.0,
-    link: str = "",
     tolerance: float | None = None,
     **options: Any,
 ) -> list[Limit]:
-    """Find the limit of each of some `MOMENTS` in each of some directions; see `every_limit`.
+    """Find the limit in each of some directions at each of some `MOMENTS`, of pushes like one; see `every_limit`.
 
-    Duration, part, bottle and link are those of `Push`; the tolerance is in [N s], by default 0.36 % of
-    `impulse_scale`.
+    The tolerance is in [N s], by default 0.36 % of `impulse_scale`.
     """
     tolerance = _TOLERANCE * impulse_scale(config) if tolerance is None else tolerance
-    settings = (config, duration, part, bottle, link, tolerance)
-    task = functools.partial(limit, *settings)
+    settings = config, like.duration, like.part, like.bottle, like.link, tolerance
+    task = functools.partial(limit, config, like, tolerance)
     return every_limit(task, settings, out, moments, directions, **options)
 
 

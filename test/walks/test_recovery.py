@@ -189,7 +189,7 @@ def test_the_largest_pushes_of_the_standing_walk(tmp_path: Path) -> None:
     """In mid-step: a step catches twice and more of what the soles bear, but to the outside, where no foot can land."""
     steps, table = dq.load("poppy").updated({"qp.solver": "daqp"}), {}
     for name, config in {"with": steps, "without": steps.updated(WITHOUT)}.items():
-        found = limits(config, tmp_path / name, ["left"], tolerance=0.05)
+        found = limits(config, tmp_path / name, Push("left", 0.0, 0.0), ["left"], tolerance=0.05)
         table[name] = {round(math.degrees(one.direction)): one.survived for one in found}
     print()
     for angle in table["with"]:
