@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dqwalk_ros.support.errors import PlantError, how_to_install
+from dqwalk_ros.support.own_class import own_class
 
 if TYPE_CHECKING:  # the help texts list the plants, and import no numpy
     from dqwalk_ros.config import Config
@@ -122,17 +122,9 @@ def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
 def _imported(name: str) -> type[Plant]:
     from dqwalk_ros.plants.base import Plant
 
-    module, _, kind = name.partition(":")
     try:
-        found = getattr(importlib.import_module(module), kind)
-    except ModuleNotFoundError as error:
-        if error.name in ("mujoco", "pydrake"):
-            raise PlantError(f"the physics engine is not installed: {how_to_install(error.name)}") from error
-        raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error
-    except Exception as error:  # MuJoCo loads the library of MUJOCO_GL, and any module may fail
-        raise PlantError(f"the plant '{name}' cannot be imported: {error}") from error
-    if not (isinstance(found, type) and issubclass(found, Plant)):
-        raise PlantError(f"the plant '{name}' is not a subclass of dqwalk_ros.plants.base.Plant")
-    if lacks := sorted(getattr(found, "__abstractmethods__", ())):
-        raise PlantError(f"the plant '{name}' does not define {', '.join(lacks)}")
-    return found
+        return own_class(name, Plant)  # type: ignore[type-abstract]
+    except ImportError as error:  # MuJoCo loads the library of MUJOCO_GL, and any module may fail
+        if isinstance(cause := error.__cause__, ModuleNotFoundError) and cause.name in ("mujoco", "pydrake"):
+            raise PlantError(f"the physics engine is not installed: {how_to_install(cause.name)}") from error
+        raise PlantError(f"the plant is '{name}'; {error}") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 
 from dqwalk_ros.config import Config, is_whole_body
@@ -10,6 +9,7 @@ from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.paper.walk import PaperWalk, Walk
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.own_class import own_class
 from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.standing.walk import StandingWalk
@@ -35,18 +35,10 @@ def walk_type(config: Config) -> type[Walk]:
     if not own:
         recovers = config.gait.style == "standing" and config.gait.recover
         return RecoveringWalk if recovers else WALKS[config.gait.style]
-    module, _, name = own.partition(":")
-    if not (module and name):
-        raise ConfigError(f"gait.walk is '{own}'; it must be MODULE:CLASS")
     try:
-        found = getattr(importlib.import_module(module), name)
-    except Exception as error:  # any module may fail
-        raise ConfigError(f"gait.walk is '{own}'; the class cannot be imported: {error}") from error
-    if not (isinstance(found, type) and issubclass(found, Walk)):
-        raise ConfigError(f"gait.walk is '{own}'; it must be a subclass of dqwalk_ros.paper.walk.Walk")
-    if lacks := sorted(found.__abstractmethods__):
-        raise ConfigError(f"gait.walk is '{own}', which does not define {', '.join(lacks)}")
-    return found
+        return own_class(own, Walk)  # type: ignore[type-abstract]
+    except ImportError as error:
+        raise ConfigError(f"gait.walk is '{own}'; {error}") from error
 
 
 def refuse_endless(config: Config) -> None:

@@ -68,7 +68,7 @@ def test_a_module_that_cannot_be_imported_is_an_error(
     """As that of MuJoCo, where MUJOCO_GL names no library."""
     (tmp_path / "broken_module.py").write_text(body, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(PlantError, match=r"'broken_module:Own' cannot be imported: ."):
+    with pytest.raises(PlantError, match=r"'broken_module:Own'; the class cannot be imported: ."):
         plant_type("broken_module:Own")
     with pytest.raises(ConfigError, match=r"'broken_module:Own'; the class cannot be imported: ."):
         walk_type(Config().updated({"gait.walk": "broken_module:Own"}))
