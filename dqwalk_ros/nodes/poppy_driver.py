@@ -191,17 +191,12 @@ class PoppyDriver(WalkNode):
 
     def _switch(self, on: bool, response: Any) -> Any:
         if on and self._plant.active and not self._plant.watch.faults:  # it may be in mid-step
-            response.success, response.message = True, "the torque is on already"
-            return response
+            return self.answer(response, True, "the torque is on already")
         self._commands.gate.hold()
         try:
-            if on:
-                self._plant.activate()
-            else:
-                self._plant.release()
-            response.success = True
-            response.message = "the torque is on: moving to the first pose, slowly" if on else "the torque is off"
-            self.get_logger().info(response.message)
+            self._plant.activate() if on else self._plant.release()
+            done = "the torque is on: moving to the first pose, slowly" if on else "the torque is off"
+            self.answer(response, True, done)
         except PlantError as error:
             response.success, response.message = False, str(error)
             self.get_logger().error(response.message)

@@ -9,7 +9,6 @@ its stamp is used for order only.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -90,7 +89,7 @@ class Watchdog:
         Steady time [s].
     """
 
-    def __init__(self, timeout: Callable[[], float], clock: Clock = time.monotonic) -> None:
+    def __init__(self, timeout: Callable[[], float], clock: Clock) -> None:
         self._timeout, self._clock = timeout, clock
         self._fed = -float("inf")
 
@@ -180,7 +179,7 @@ class DuplicatePublishers:
     ghost = 25.0
     """Time for which a killed publisher may remain listed [s]."""
 
-    def __init__(self, clock: Clock = time.monotonic) -> None:
+    def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._doubled = float("inf")
 
@@ -277,7 +276,7 @@ class CommandGate:
     contradictions = 3
     """Number of different commands with the stamp of one state, within a second, that indicates two controllers."""
 
-    def __init__(self, model: RobotModel, timeout: Callable[[], float], clock: Clock = time.monotonic) -> None:
+    def __init__(self, model: RobotModel, timeout: Callable[[], float], clock: Clock) -> None:
         self._model, self._timeout, self._clock = model, timeout, clock
         self._contradicted: list[float] = []
         self.watchdog = Watchdog(timeout, clock)

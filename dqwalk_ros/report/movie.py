@@ -42,9 +42,7 @@ _DISTANCE = 1.4
 """Distance of the camera from the robot [m]."""
 
 
-def frames(
-    trace: Trace, times: Array, width: int, height: int, progress: Progress | None = None
-) -> Iterator[Image.Image]:
+def frames(trace: Trace, times: Array, width: int, height: int, progress: Progress) -> Iterator[Image.Image]:
     """Yield a picture of the robot at each time [s], with the time and the phase written on it.
 
     The pose of the pelvis is the true one for walks in physics, else that of odometry.
@@ -66,18 +64,17 @@ def frames(
             for row, line in enumerate((f"{trace.time[tick]:.1f} s", record.name.replace("_", " "))):
                 draw.text((8, 6 + 17 * row), line, fill=(36, 41, 47), font=font)
             yield picture
-            if progress is not None:
-                progress((k + 1) / len(times), f"{k + 1} of {len(times)} pictures")
+            progress((k + 1) / len(times), f"{k + 1} of {len(times)} pictures")
 
 
 def save_movie(
     trace: Trace,
     path: str | os.PathLike[str],
     *,
-    speed: float = 2.0,
-    rate: float = 12.5,
-    progress: Progress | None = None,
-    overwrite: bool = False,
+    speed: float,
+    rate: float,
+    progress: Progress,
+    overwrite: bool,
 ) -> None:
     """Write the walk as an animated picture, a .gif or a .webp; see `written` for errors.
 
@@ -107,10 +104,10 @@ def save_strip(
     trace: Trace,
     path: str | os.PathLike[str],
     *,
-    count: int = 8,
-    between: tuple[float, float] | None = None,
-    progress: Progress | None = None,
-    overwrite: bool = False,
+    count: int,
+    between: tuple[float, float] | None,
+    progress: Progress,
+    overwrite: bool,
 ) -> None:
     """Write some pictures of the walk side by side, evenly spread over it or `between` two times [s]; see `written`."""
     begin, end = float(trace.time[0]), float(trace.time[-1])

@@ -105,7 +105,7 @@ def walk_data(
     stretches: Sequence[Stretch],
     curves: Mapping[str, Curve],
     tight: Sequence[str],
-    marks: Sequence[Mark] = (),
+    marks: Sequence[Mark],
     regions: Sequence[Sequence[NamedRegion]] = (),
 ) -> dict[str, Any]:
     """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32.

@@ -50,8 +50,8 @@ class Page:
 
     Parameters
     ----------
-    port : int, optional
-        By default the first free one from `PORT` on; 0 lets the system choose.
+    port : int or None
+        None: the first free one from `PORT` on; 0: any.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Page:
         If the port is in use, or there is no such port.
     """
 
-    def __init__(self, port: int | None = None) -> None:
+    def __init__(self, port: int | None) -> None:
         if port is not None and not 0 <= port <= 65535:
             raise ViewerError(f"there is no port {port}; ports are 0 to 65535, 0 for any")
         wanted = PORT if port is None else port

@@ -205,7 +205,7 @@ class Feed:
         If the page does not start.
     """
 
-    def __init__(self, config: Config, port: int | None = None) -> None:
+    def __init__(self, config: Config, port: int | None) -> None:
         context = multiprocessing.get_context("spawn")
         self._page, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other, config, port), daemon=True)
