@@ -33,7 +33,6 @@ class FallCause:
 
     Parameters
     ----------
-    node : WalkNode
     phases : PhaseLog
         The phases of this walk.
     """

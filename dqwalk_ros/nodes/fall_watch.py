@@ -27,8 +27,6 @@ class _Expected:
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     first : State
         The first state that is answered.
     """
@@ -68,8 +66,6 @@ class Contradictions:
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     timeout : callable
         Returns the timeout of the states [s].
 
@@ -172,11 +168,8 @@ class FallWatch:
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     timeout : callable
         Returns the timeout of states and commands [s].
-    lockstep : bool
 
     Attributes
     ----------

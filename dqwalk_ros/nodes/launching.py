@@ -47,7 +47,6 @@ def description(
 
     Parameters
     ----------
-    arguments : Arguments
     nodes : callable
         Returns what is started.
     discovery : bool

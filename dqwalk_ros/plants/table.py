@@ -106,8 +106,6 @@ def make_plant(name: str, config: Config, model: RobotModel) -> Plant:
     ----------
     name : str
         A name of `SIMULATORS`, or MODULE:CLASS; `config` contains its parameters.
-    config : Config
-    model : RobotModel
 
     Raises
     ------

@@ -119,7 +119,6 @@ def limits_at(u: Array, lower: Array, upper: Array, fastest: Array, model: Robot
         Commanded velocities [rad/s].
     lower, upper : ndarray, shape (..., n)
         Their bounds by the joint limits and by the largest velocities, `fastest` (n,) [rad/s].
-    model : RobotModel
     """
     speed = np.abs(u) >= fastest - _AT_LIMIT
     kinds = {

@@ -188,7 +188,6 @@ def of_robot(rows: Mapping[str, Row], config: str) -> dict[str, Row]:
 
     Parameters
     ----------
-    rows : dict of str to Row
     config : str
         As ``--config``.
 

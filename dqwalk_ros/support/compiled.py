@@ -231,7 +231,6 @@ class Record:
 
     Parameters
     ----------
-    cls : type of NamedTuple
     fields
         Types of its arrays, such as `VECTOR`; of a record within it, its `Record`.
     """

@@ -82,7 +82,6 @@ def end_with(parent: int, number: signal.Signals) -> None:
     ----------
     parent : int
         Process id of the parent; if it has died already, the signal is sent now.
-    number : signal.Signals
     """
     with contextlib.suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(1, number)  # PR_SET_PDEATHSIG

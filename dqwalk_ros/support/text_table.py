@@ -18,7 +18,6 @@ def aligned(rows: Sequence[Sequence[str]], head: Sequence[str] = (), right: Sequ
 
     Parameters
     ----------
-    rows : sequence of sequence of str
     head : sequence of str
         Names of the columns, with a line below them; a name may have several lines.
     right : sequence of int

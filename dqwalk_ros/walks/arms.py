@@ -284,8 +284,6 @@ class Arms:
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     posture : ndarray, shape (n,)
         Angles that the arms hold without a command [rad].
 
@@ -477,7 +475,6 @@ class Arms:
 
         Parameters
         ----------
-        now : Evaluation
         solve : callable
             Returns the solution of a program.
         """
@@ -541,7 +538,6 @@ class Arms:
 
         Parameters
         ----------
-        names : sequence of str
         times : array_like, shape (k,)
             Times of the points since the beginning [s].
         angles, velocities : array_like, shape (k, joints)
@@ -611,7 +607,6 @@ class Arms:
         ----------
         side : str
             ``left`` or ``right``.
-        pose : DQ or None
         frame : str
             A link of the body that carries the arm. Empty: the present base sole; the pose stays where it is on the
             ground while the robot walks on.

@@ -107,8 +107,6 @@ class Footsteps:
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     posture : ndarray, shape (n,)
         The standing posture [rad].
     carried : Carried, optional

@@ -118,12 +118,10 @@ def walk_data(
         Support polygon of each frame.
     prints : sequence of (time, Foot, corners)
         Each footprint with the time from which it is shown [s] and its corners (4, 3) [m].
-    stretches : sequence of Stretch
     curves : mapping of str to Curve
         By the name of the constraint, whose region it belongs to, or another one.
     tight : sequence of str
         Name of the curve that is marked in each frame.
-    marks : sequence of Mark
     regions : sequence of sequence of NamedRegion
         Regions of the constraints in each frame.
     """

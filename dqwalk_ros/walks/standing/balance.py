@@ -39,13 +39,7 @@ class _Goal(NamedTuple):
 
 
 class Balance:
-    """Computes the feedforward torques of one phase; call it with the kinematics and the state.
-
-    Parameters
-    ----------
-    phase : Phase
-    config : Config
-    """
+    """Computes the feedforward torques of one phase; call it with the kinematics and the state."""
 
     def __init__(self, phase: Phase, config: Config) -> None:
         model, standing = phase.model, config.standing
