@@ -13,8 +13,6 @@ import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
 
-__all__ = ["PHASES", "Chain", "Walk", "biped", "chain_urdf", "states", "walk_of"]
-
 Array = np.ndarray
 PHASES = {"dsp": "double support", "ssp": "single support"}
 

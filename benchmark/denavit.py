@@ -9,8 +9,6 @@ import numpy as np
 from benchmark.biped import Chain
 from dqwalk_ros.paper.dual_quaternions import DQ
 
-__all__ = ["parameters"]
-
 Array = np.ndarray
 
 

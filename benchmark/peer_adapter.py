@@ -24,8 +24,6 @@ from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.tasks import ComOverFoot, FramePose, Task
 from dqwalk_ros.robot.model import RobotModel, load_model
 
-__all__ = ["make_clarabel", "make_daqp", "phase_of", "robot_of"]
-
 Array = np.ndarray
 
 

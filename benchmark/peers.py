@@ -20,8 +20,6 @@ from benchmark.biped import Chain, Walk, chain_urdf
 from benchmark.denavit import parameters
 from dqwalk_ros.paper.dual_quaternions import DQ
 
-__all__ = ["PEERS"]
-
 Array = np.ndarray
 Tick = Callable[[Array], Array]
 _LINE = [1, 2, 3, 5, 6, 7]

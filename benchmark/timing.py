@@ -25,8 +25,6 @@ import numpy as np
 
 from dqwalk_ros.support import provenance
 
-__all__ = ["Times", "interleaved", "machine", "table"]
-
 
 @dataclass(frozen=True)
 class Times:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from dqwalk_ros.config import Spec
-from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of
+from dqwalk_ros.nodes.command_line import docstring, parameters_of
+from dqwalk_ros.support.node_table import NODES
 
 FOLDER = Path(__file__).resolve().parent / "nodes"
 

@@ -31,8 +31,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import PhaseError, QPError, StateError
 
-__all__ = ["VelocityController"]
-
 
 class VelocityController:
     """Controls `model` through the phases of a walk.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import signal
 import sys
 
-__all__ = ["dqwalk", "node"]
-
 
 class _Starting:
     """While a program imports its modules, Ctrl-C ends it silently: nothing has begun that could be lost.

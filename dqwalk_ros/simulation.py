@@ -27,8 +27,6 @@ from dqwalk_ros.support.interrupts import deferred_interrupts, is_interrupt
 from dqwalk_ros.trace import Trace, TraceRecorder
 from dqwalk_ros.walks.table import make_controller, make_walk, walk_type
 
-__all__ = ["closed_loop", "simulate", "warm_up"]
-
 _WARM_UP = 3.0
 """Longest time that a walk to compile its functions lasts [s]."""
 _WARM_PHASES = 5

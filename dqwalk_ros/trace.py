@@ -23,8 +23,6 @@ from dqwalk_ros.support import provenance
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.walks.table import make_walk
 
-__all__ = ["PhaseRecord", "PhysicsRecord", "Recorded", "Trace", "TraceRecorder", "known_loads"]
-
 _NAN = np.full(8, math.nan)
 
 

@@ -20,12 +20,6 @@ from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, listed, missing
 from dqwalk_ros.support.node_table import NODES
 
-__all__ = [
-    "OF_RCLPY", "SHIPPED", "Section", "applies_from", "find_config", "find_file", "find_params",
-    "find_share", "from_yaml", "is_foreign", "is_whole_body", "load", "overlaid", "replaced", "resolved",
-    "sections_of", "to_yaml", "with_files",
-]  # fmt: skip
-
 _MOST = 2000
 """Largest number of parameters of one section; this package has less than 300."""
 OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")

@@ -13,8 +13,6 @@ import msgspec
 
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = ["Spec", "Value", "checked", "parameter", "specs_of"]
-
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 
 

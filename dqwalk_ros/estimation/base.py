@@ -28,9 +28,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["BaseEstimate", "BaseEstimator"]
-
-
 _GRAVITY = np.array([0.0, 0.0, -GRAVITY])
 _POINTS = tuple((foot, side) for foot in Foot for side in (-0.5, 0.5))
 """Heel and toe of both soles, as offsets from the centre in lengths of the sole."""

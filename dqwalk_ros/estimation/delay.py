@@ -14,8 +14,6 @@ import numpy as np
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["CommandHistory"]
-
 
 class CommandHistory:
     """The integral of the commands over the last `delay`.

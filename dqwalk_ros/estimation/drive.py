@@ -24,9 +24,6 @@ from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["DriveWatch"]
-
-
 _EVERY, _SPAN, _FORGET = 0.02, 0.2, 10.0
 """Sampling period, time over which differences are taken, and time constant of the forgetting [s]."""
 _FADE = math.exp(-_EVERY / _FORGET)

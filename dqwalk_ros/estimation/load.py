@@ -28,9 +28,6 @@ from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["FootLoads", "share_of"]
-
-
 _SMOOTH = 0.01
 """Time constant of the filter of the forces, and of that of the joint accelerations [s]."""
 _MOST = 3.0

@@ -7,8 +7,6 @@ from dqwalk_ros.estimation.drive import DriveWatch
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["Predictor"]
-
 
 class Predictor:
     """Predicts the joint angles from the commands under way.

@@ -15,9 +15,6 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["filtered_vertical", "low_passed"]
-
-
 _T = 0.1
 """Time constant of the filter [s]."""
 

@@ -31,9 +31,6 @@ from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.following import minimum_jerk
 
-__all__ = ["NAME", "Exercise", "Slot", "duration", "exercise_config", "path_of", "slots"]
-
-
 NAME = f"{__name__}:Exercise"
 """Value of ``gait.walk`` for an exercise."""
 

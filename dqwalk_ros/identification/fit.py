@@ -35,9 +35,6 @@ from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.trace import Trace
 
-__all__ = ["NAMES", "Identified", "Mounting", "goals_of", "identify", "parameters"]
-
-
 NAMES = ("delay", *IDENTIFIED)
 """Identified parameters of each servo [s, N m/rad, s, rad, N m]; the damping is divided by the stiffness."""
 

@@ -17,9 +17,6 @@ from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.table import make_walk
 
-__all__ = ["replay", "require_exercise"]
-
-
 _SHOWN = 100
 """Number of progress reports."""
 

@@ -26,8 +26,6 @@ from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.errors import DqwalkError, QPError, StateError, listed
 
-__all__ = ["AnsweringNode", "Fields"]
-
 Fields = dict[str, Any]
 """A command: values (n,) by the field of JointState."""
 

@@ -20,8 +20,6 @@ from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.walks.arms import Arms
 from dqwalk_ros.walks.stepping import SteppingWalk
 
-__all__ = ["ArmInput"]
-
 TRAJECTORY = "arm_trajectory"
 
 

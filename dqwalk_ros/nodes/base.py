@@ -34,8 +34,6 @@ from dqwalk_ros.support.interrupts import end_with
 from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS
 
-__all__ = ["WalkNode", "main", "throttled"]
-
 _TOPICS = TOPICS | BODY_TOPICS | {PHASE_LOG.name: PHASE_LOG}
 _DISCOVERED, _HEARD = 0.4, 1.5
 """Time to discover other nodes, and to receive a message of one that is running [s]: in lockstep a plant that waits

@@ -24,8 +24,6 @@ from dqwalk_ros.support.errors import ConfigError, not_imported, unexpanded
 from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
-__all__ = ["NODES", "docstring", "main", "parameters_of", "parse", "script", "sections_of"]
-
 
 def docstring(name: str) -> str:
     """Return the docstring of a node's class."""

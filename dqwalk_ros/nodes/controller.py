@@ -40,9 +40,6 @@ from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
 
-__all__ = ["Controller", "Mode"]
-
-
 _MOVED = 0.1
 """Largest motion of a joint while the plant is not ready after which an interrupted walk continues [rad]."""
 _LEFT_ALONE = 1.0

@@ -21,9 +21,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 
-__all__ = ["Doctor", "Heard", "listen"]
-
-
 _DISCOVERY = 5.0
 """Time within which a publisher is discovered [s]."""
 _LATCHED = 20.0

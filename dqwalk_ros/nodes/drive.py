@@ -30,9 +30,6 @@ from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
 
-__all__ = ["RobotDrive"]
-
-
 _TOPICS = {
     ("float64_multi_array", "velocity"): "forward_velocity_controller/commands",
     ("float64_multi_array", "position"): "forward_position_controller/commands",

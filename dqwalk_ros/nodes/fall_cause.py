@@ -20,8 +20,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace
 
-__all__ = ["FallCause"]
-
 _REMEMBERED = 10.0
 """Time for which the last states are considered [s]."""
 _KEPT = 10000

@@ -19,8 +19,6 @@ from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["Contradictions", "FallWatch"]
-
 
 class _Expected:
     """The motion that is expected of the joints: what their servos are asked for, and what is commanded.

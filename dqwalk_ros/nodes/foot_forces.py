@@ -14,8 +14,6 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = ["FootForces"]
-
 
 class FootForces:
     """The newest force of the ground on each sole, the norm of a wrench: sensors have any axes and either sign.

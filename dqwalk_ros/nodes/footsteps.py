@@ -20,9 +20,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError, shown
 from dqwalk_ros.walks.stepping import SteppingWalk
 
-__all__ = ["FootstepInput"]
-
-
 _MAX_STEPS = 50
 """Most footsteps in one path: to check one takes some hundredths of a second."""
 

@@ -14,8 +14,6 @@ from dqwalk_ros.nodes.state_gate import Felt, InertialGate
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.support.errors import StateError, shown
 
-__all__ = ["InertialSensor"]
-
 
 class InertialSensor:
     """Adds the inertial sensor's message to the state of the joints.

@@ -26,8 +26,6 @@ from dqwalk_ros.support.errors import ConfigError, StateError
 if TYPE_CHECKING:
     from dqwalk_ros.controller import VelocityController
 
-__all__ = ["EFFORT", "VELOCITY", "CommandInput", "Steering"]
-
 VELOCITY, EFFORT = "joint_velocity_commands", "joint_effort_commands"
 _CHECK = 0.25
 """Period of the check for duplicate publishers [s]."""

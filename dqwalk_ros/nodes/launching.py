@@ -13,8 +13,6 @@ from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from dqwalk_ros.config import Config
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = ["Arguments", "description", "values_of"]
-
 Arguments = Mapping[str, tuple[str, str, Sequence[str] | None]]
 """Default, description and choices of each argument."""
 _PARAMETERS = {spec.name for spec in Config.specs()}

@@ -16,8 +16,6 @@ from dqwalk_ros.report.scene import Moment, NamedRegion, Scene
 from dqwalk_ros.robot.model import RobotModel, Sole
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["markers"]
-
 _THIN = 0.002
 
 

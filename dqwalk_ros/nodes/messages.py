@@ -26,12 +26,6 @@ from dqwalk_ros.plants.base import Inertial, upward
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 
-__all__ = [
-    "JointReader", "JointWriter", "best_effort", "checked_place", "checked_pose", "deserialized", "header", "impulse",
-    "imu", "inertial_of", "is_frame_of", "is_heard_by", "latched", "message_type", "nanoseconds", "point", "pose",
-    "publishers_of", "stamp_of", "time_msg", "wrench",
-]  # fmt: skip
-
 
 def best_effort(depth: int) -> QoSProfile:
     """Return the quality of service of a subscription for which the newest message matters, and a lost one does not."""

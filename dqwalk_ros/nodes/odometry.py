@@ -33,9 +33,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.walks.footprint import flat
 
-__all__ = ["Odometry"]
-
-
 _FIXED = 0.005
 """Standard deviation of height, roll and pitch [m, rad], which do not drift, and of velocities [m/s, rad/s]."""
 _TIMEOUT = 0.5

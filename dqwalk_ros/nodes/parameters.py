@@ -21,8 +21,6 @@ from dqwalk_ros.plants.table import defaults_of
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, shown
 
-__all__ = ["check_types", "declare"]
-
 
 def declare(node: Node, argv: Sequence[str]) -> Config:
     """Declare all parameters of the package on a node; return their values from the command line and parameter files.

@@ -25,8 +25,6 @@ from dqwalk_ros.support.errors import DqwalkError, StateError, shown
 from dqwalk_ros.support.topics import TOPICS
 from dqwalk_ros.walks.table import make_walk, refuse_foreign_code
 
-__all__ = ["PhaseLog"]
-
 _KEPT = 100
 """Number of phases that are stored."""
 _MEASURED = 5000

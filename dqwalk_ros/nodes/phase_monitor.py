@@ -30,8 +30,6 @@ from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import FALLEN, FINISHED
 
-__all__ = ["PhaseMonitor"]
-
 _TIMEOUT = 1.0
 """Time without a state after which the walk is reported as stale [s]."""
 _RESEND = 4.0

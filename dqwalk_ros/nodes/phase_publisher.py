@@ -14,8 +14,6 @@ from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.robot.model import RobotModel
 
-__all__ = ["PhasePublisher"]
-
 
 class PhasePublisher:
     """Publishes the start of each phase, and on `configurations` changed parameters, for `PhaseLog`."""

@@ -20,8 +20,6 @@ from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.nodes.safety import ClockSteps
 from dqwalk_ros.walks.course import Course
 
-__all__ = ["Pilot"]
-
 _PERIOD = 0.1
 """Period of the commands [s]."""
 _SILENT, _REPEATED = 20, 100

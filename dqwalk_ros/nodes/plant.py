@@ -29,8 +29,6 @@ from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import TOPICS, WORLD
 
-__all__ = ["Integrator", "Physics", "SimulatedPlant"]
-
 _ASK_AGAIN = 0.5
 """Time after which a lockstep state without a command is published again [s]: state or command may have been lost."""
 _FIRST_ASK = 0.05

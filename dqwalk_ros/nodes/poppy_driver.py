@@ -20,8 +20,6 @@ from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ConfigError, PlantError
 from dqwalk_ros.support.topics import FALLEN
 
-__all__ = ["PoppyDriver"]
-
 _SOONEST = 0.5
 """Least time between two goals, in periods."""
 

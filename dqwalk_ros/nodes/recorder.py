@@ -25,8 +25,6 @@ from dqwalk_ros.report.bag.storage import connect, flush, open_writer
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS, Topic
 
-__all__ = ["Recorder", "WalkTime"]
-
 _DEPTH = 50_000
 """Depth of the queues: minutes of real time, most of a minute of lockstep at full speed."""
 _MOST_EARLY = 20_000

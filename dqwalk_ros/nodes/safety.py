@@ -19,16 +19,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError, listed
 
-__all__ = [
-    "ClockSteps",
-    "CommandGate",
-    "DuplicatePublishers",
-    "DuplicateStates",
-    "FaultCounter",
-    "JointOrder",
-    "Watchdog",
-]
-
 Clock = Callable[[], float]
 
 

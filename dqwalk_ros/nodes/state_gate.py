@@ -22,8 +22,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 
-__all__ = ["BodyGate", "Felt", "InertialGate", "StateGate"]
-
 
 class Felt(NamedTuple):
     """What an inertial sensor measures, in its frame.

@@ -29,9 +29,6 @@ from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.walks.course import speeds
 from dqwalk_ros.walks.table import walk_type
 
-__all__ = ["Viewer"]
-
-
 _STEER = 0.1
 """Period of the velocities that a steered walk receives [s]."""
 _PUSH = 0.1

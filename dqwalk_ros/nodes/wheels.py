@@ -35,8 +35,6 @@ from dqwalk_ros.config import find_share
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.own_folder import own_folder, temporary
 
-__all__ = ["STEADY", "TimerWaker", "find_log_folder", "first_line", "init", "initialize", "shutdown", "spin"]
-
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """For every timer and throttled log: those of rclpy's default clock stop when the system's clock is set back."""
 

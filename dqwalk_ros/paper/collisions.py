@@ -26,19 +26,6 @@ from dqwalk_ros.support.errors import ConfigError
 if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
 
-__all__ = [
-    "AxisInCone",
-    "Capsule",
-    "CapsulesApart",
-    "LinesApart",
-    "PointOutsideLine",
-    "PointOutsideSphere",
-    "PointOverMovingPlane",
-    "capsules_in",
-    "closest_on_segments",
-    "segments_apart",
-]
-
 _TINY = 1e-12
 
 

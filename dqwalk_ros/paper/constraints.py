@@ -35,27 +35,6 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = [
-    "PLAIN",
-    "AxisLevel",
-    "ComInsideEdges",
-    "Constraint",
-    "FrameHeld",
-    "JointMaximum",
-    "JointMinimum",
-    "Look",
-    "PointInCylinder",
-    "PointInsideWall",
-    "PointOverPlane",
-    "PointsOverPlane",
-    "Region",
-    "facing",
-    "pose_error",
-    "sampled",
-    "vfi",
-]
-
-
 _MARGIN = 1.25
 """Height of a drawn region, relative to the height of the constrained point."""
 

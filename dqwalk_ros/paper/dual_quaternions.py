@@ -14,9 +14,6 @@ from numpy.typing import ArrayLike
 
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["DQ", "E", "i", "j", "k", "product", "qconj", "qmul"]
-
-
 _CONJ4 = np.array([1.0, -1.0, -1.0, -1.0])
 _CONJ8 = np.concatenate([_CONJ4, _CONJ4])
 _SMALL = 1e-12

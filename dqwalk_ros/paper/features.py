@@ -45,26 +45,6 @@ from dqwalk_ros.support.compiled import (
     jit,
 )
 
-__all__ = [
-    "BODIES",
-    "QUANTITY",
-    "WATCHED",
-    "Affine",
-    "CenterOfMass",
-    "CenterOfMassOnGround",
-    "Direction",
-    "Feature",
-    "JointAngles",
-    "Observer",
-    "Point",
-    "Pose",
-    "Quantity",
-    "Rotation",
-    "Watched",
-    "observe",
-]
-
-
 _ORIGIN = np.zeros(3)
 
 BODIES = Record(Bodies, VECTOR, VECTOR, MASK, MATRIX, MATRIX, VECTOR, MATRIX)

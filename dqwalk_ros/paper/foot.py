@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import enum
 
-__all__ = ["Foot"]
-
 
 class Foot(enum.Enum):
     """One of the two feet."""

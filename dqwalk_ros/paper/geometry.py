@@ -17,20 +17,6 @@ from numpy.typing import ArrayLike
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = [
-    "ConvexPolygon",
-    "Cylinder",
-    "Line",
-    "Plane",
-    "X",
-    "Y",
-    "Z",
-    "moved_inside",
-    "point_to_line_squared",
-    "point_to_wall",
-    "wall_side",
-]
-
 X, Y, Z = np.eye(3)
 """Unit vectors along the axes of the frame in which they are used; z is up in the base, odom and world frames."""
 

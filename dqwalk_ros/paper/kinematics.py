@@ -30,28 +30,6 @@ from dqwalk_ros.support.compiled import jit
 if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
 
-__all__ = [
-    "Bodies",
-    "Kinematics",
-    "Place",
-    "SupportTree",
-    "compose",
-    "direction",
-    "direction_at",
-    "forward",
-    "jacobian",
-    "jacobian_column",
-    "multiply",
-    "on_ground",
-    "point",
-    "point_at",
-    "pose_jacobian",
-    "quaternion_product",
-    "rotate",
-    "support_tree",
-]
-
-
 _ORIGIN = np.zeros(3)
 
 

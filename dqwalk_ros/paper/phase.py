@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.paper.walk import Walk
     from dqwalk_ros.robot.model import RobotModel
 
-__all__ = ["Change", "EndRule", "Next", "Phase", "PhaseKind", "Rule", "Timed"]
-
 
 class PhaseKind(enum.Enum):
     """Kind of a phase: double support, single support, or stance, a double support with the CoM between the feet."""

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["Command", "State"]
-
 
 @dataclass(slots=True, eq=False)
 class State:

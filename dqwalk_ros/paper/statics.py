@@ -15,9 +15,6 @@ from dqwalk_ros.support.compiled import jit
 if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
 
-__all__ = ["GRAVITY", "Soles", "gravity_torques", "ground_torques", "share"]
-
-
 GRAVITY = 9.80665
 """[m/s^2]"""
 

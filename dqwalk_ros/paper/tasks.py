@@ -12,8 +12,6 @@ from dqwalk_ros.paper.features import Affine, CenterOfMass, Feature, JointAngles
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["ComOverFoot", "FramePose", "Posture", "Task", "converge"]
-
 
 @jit
 def converge(e: Array, eta: float, saturation: float) -> Array:

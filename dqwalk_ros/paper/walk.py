@@ -39,9 +39,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
     from dqwalk_ros.robot.servos import Drive
 
-__all__ = ["PaperWalk", "Walk", "com_target", "joint_limits", "pelvis_height"]
-
-
 _LOOKS = {
     "sliding": Look("sliding (U7)", (0, 140, 150)),
     "tip_plane": Look("tip plane (U9)", (31, 95, 180)),

@@ -19,20 +19,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = [
-    "Inertial",
-    "Plant",
-    "Truth",
-    "are_finite",
-    "center_of_pressure",
-    "checked",
-    "orientation_of",
-    "pushed_periods",
-    "stands_still",
-    "tilt",
-    "upward",
-]
-
 
 class Plant(ABC):
     """A simulator or a robot.

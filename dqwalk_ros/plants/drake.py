@@ -43,8 +43,6 @@ from dqwalk_ros.robot.servos import Servos
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = ["DrakePlant"]
-
 logging.getLogger("drake").setLevel(logging.ERROR)  # it warns that half spaces have no contact with what is soft
 
 _STIFFNESS = 3e5

@@ -12,8 +12,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = ["KinematicPlant"]
-
 
 class KinematicPlant(Plant):
     """Integrates joint velocities with Euler's method, as section 5 does.

@@ -15,8 +15,6 @@ from dqwalk_ros.plants.base import Inertial
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["Reading", "Sensors"]
-
 
 @dataclass(slots=True, eq=False)
 class Reading(Inertial):

@@ -36,8 +36,6 @@ from dqwalk_ros.robot.servos import Drive, Servos
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["JUMPS", "AngleGate", "ServoGoals"]
-
 JUMPS = 3
 """Number of consecutive impossible angles of a joint that are a fault."""
 _MOST_OFFSET = math.pi

@@ -13,8 +13,6 @@ if TYPE_CHECKING:  # the help texts list the plants, and import no numpy
     from dqwalk_ros.plants.base import Plant
     from dqwalk_ros.robot.model import RobotModel
 
-__all__ = ["PHYSICS", "PLANTS", "SIMULATORS", "Entry", "defaults_of", "entry", "make_plant", "plant_type"]
-
 
 @dataclass(frozen=True)
 class Entry:

@@ -18,9 +18,6 @@ from dqwalk_ros.robot.servos import Drive, Servos
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.trace import Trace
 
-__all__ = ["Load", "acting", "limits_at", "limits_reached", "most_loaded"]
-
-
 _AT_LIMIT = 1e-6
 """Difference to a bound of a commanded velocity that is at the bound [rad/s]."""
 

@@ -20,9 +20,6 @@ from dqwalk_ros.robot.standing_limits import Finding, divergent_component, longe
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.walks.following import ComPath, com_path
 
-__all__ = ["causes", "lost"]
-
-
 _SMOOTH = 0.05
 """Time over which velocities of the CoM are averaged [s]."""
 _BEYOND = 1e-3

@@ -4,11 +4,6 @@ from __future__ import annotations
 
 from dqwalk_ros.paper.foot import Foot
 
-__all__ = [
-    "BLUE", "COM", "DIVERGENT", "FOOT", "GREEN", "GREY", "INK", "MUTED", "ORANGE", "RED", "TIGHT",
-    "Rgb", "css", "hexed",
-]  # fmt: skip
-
 Rgb = tuple[int, int, int]
 
 BLUE: Rgb = (31, 95, 180)

@@ -22,9 +22,6 @@ from dqwalk_ros.trace import PhysicsRecord
 if TYPE_CHECKING:
     from dqwalk_ros.report.metrics import Series
 
-__all__ = ["FALLEN", "TIPPED", "WAY", "Circle", "Ground", "commanded_way", "middle", "shortfall"]
-
-
 FALLEN = 0.6
 """Height of the pelvis over the lower sole, relative to its first one, below which the robot has fallen."""
 TIPPED = np.radians(20.0)

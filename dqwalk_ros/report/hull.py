@@ -6,9 +6,6 @@ import numpy as np
 
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["hull_margin"]
-
-
 _BLOCK = 2000
 """Number of hulls computed at a time; one takes some kilobytes."""
 _TINY = 1e-12

@@ -31,9 +31,6 @@ from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ModelError
 from dqwalk_ros.trace import PhaseRecord, Trace
 
-__all__ = ["Ending", "Series", "Span", "analyse", "paper_margin", "pelvis_in_odom", "support_polygon", "urdf_soles"]
-
-
 # ---------------------------------------------------------------------- one state
 
 

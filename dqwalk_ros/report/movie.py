@@ -28,8 +28,6 @@ from dqwalk_ros.support.errors import ConfigError, PlantError
 from dqwalk_ros.support.output import written
 from dqwalk_ros.trace import Trace
 
-__all__ = ["Camera", "frames", "save_movie", "save_strip", "scenery_of"]
-
 Progress = Callable[[float, str], None]
 """Called with the fraction done and a line of text."""
 _MOVIE, _STRIP = (360, 400), (240, 400)

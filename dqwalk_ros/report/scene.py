@@ -35,21 +35,6 @@ from dqwalk_ros.support.errors import ModelError
 from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.table import make_walk
 
-__all__ = [
-    "BodyShape",
-    "Gauge",
-    "Moment",
-    "Moments",
-    "NamedRegion",
-    "Scene",
-    "View",
-    "beginning",
-    "bodies_of",
-    "on_ground",
-    "shapes_of",
-    "tightest",
-]  # fmt: skip
-
 Rgba = tuple[float, float, float, float]
 _GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
 

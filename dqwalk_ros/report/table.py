@@ -9,8 +9,6 @@ from typing import Any
 from dqwalk_ros.report.binding import Load
 from dqwalk_ros.support.text_table import aligned
 
-__all__ = ["bounds", "numbers", "phases", "quasi_static", "render", "steps", "why"]
-
 _EDGE = 1e-5
 """Distance up to which the CoM counts as at the edge of its support [m]: the error of Euler's method."""
 _LIMITS_SHOWN = 3

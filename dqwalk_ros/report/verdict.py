@@ -29,9 +29,6 @@ from dqwalk_ros.report.metrics import Ending, Series, Span, paper_margin, suppor
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["Assessment", "Assessor", "Violation", "report", "violations"]
-
-
 TILT = np.radians(2.0)
 """Largest tilt of the more loaded sole [rad]."""
 COP_INSIDE = 0.99

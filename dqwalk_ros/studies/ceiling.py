@@ -29,8 +29,6 @@ from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_walk, walk_type
 
-__all__ = ["PushCeiling", "caught", "ceilings"]
-
 _SETTLED = 50
 """Number of steps after which the pendulum is at rest."""
 

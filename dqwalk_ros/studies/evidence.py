@@ -34,8 +34,6 @@ from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, make_walk, refuse_endless, walk_type
 
-__all__ = ["Row", "WalkOutcome", "bounds", "ceilings", "collect", "of_robot", "points", "read"]
-
 CONFIDENCE = 0.95
 """Probability with which the bounds of `bounds` contain the true chance."""
 _REACH = 1.0

@@ -7,8 +7,6 @@ from typing import Protocol
 
 from dqwalk_ros.paper.statics import GRAVITY
 
-__all__ = ["ROPE", "Bottle", "ConstantForce", "Load", "drop", "farthest_momentum", "release_distance"]
-
 ROPE = 1.75
 """Length of the rope [m]; the rules allow 1.5 to 2 m."""
 _FARTHEST = 0.75

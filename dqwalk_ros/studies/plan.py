@@ -17,8 +17,6 @@ from dqwalk_ros.config import Config, load
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, missing
 
-__all__ = ["MAX_WALKS", "Study", "digest", "is_own", "read"]
-
 MAX_WALKS = 100_000
 """Largest number of walks of a study."""
 

@@ -35,8 +35,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, PlantError
 from dqwalk_ros.walks.table import make_controller, make_walk
 
-__all__ = ["MOMENTS", "Limit", "Push", "every_limit", "impulse_scale", "limit", "limits", "pushed", "robocup_measure"]
-
 MOMENTS = ("standing", "left", "right")
 """In a stance on both feet, or in the middle of a step on the left or on the right foot."""
 

@@ -28,8 +28,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.walks.table import make_controller, refuse_endless
 
-__all__ = ["Cell", "CellOutcome", "assumed", "axes_of", "cells", "walk", "walk_all"]
-
 LATENCY_ERROR = "latency_error"
 """An axis that is not a parameter: error of the latency that the controller assumes [s]."""
 _SAMPLE = 0.02

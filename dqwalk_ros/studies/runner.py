@@ -19,8 +19,6 @@ import msgspec
 from dqwalk_ros.support.errors import ConfigError, StudyError
 from dqwalk_ros.support.interrupts import as_ctrl_c, serve
 
-__all__ = ["Store", "run"]
-
 Outcome = TypeVar("Outcome", bound=msgspec.Struct)
 """The outcome of a walk, a struct of plain types."""
 Point = Mapping[str, Any]

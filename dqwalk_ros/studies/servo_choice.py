@@ -34,9 +34,6 @@ from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.dynamic.swing import Swing
 from dqwalk_ros.walks.footsteps import Footsteps
 
-__all__ = ["Choice", "Gait", "Most", "Step", "choose", "largest_loads", "leg_pairs", "own_servos", "step"]
-
-
 _SAMPLES = 41
 """Number of times in a step."""
 _ITERATIONS, _POSTURE, _TRUNK = 12, 1e-2, 0.1

@@ -25,8 +25,6 @@ from dqwalk_ros.support.errors import ConfigError, DqwalkError, StudyError
 from dqwalk_ros.support.output import written
 from dqwalk_ros.walks.table import make_controller, make_walk, refuse_endless
 
-__all__ = ["StudyOutcome", "set_up", "walk", "walk_all"]
-
 
 class StudyOutcome(msgspec.Struct, frozen=True, kw_only=True):
     """The outcome of a walk; numbers are None if it could not begin.

@@ -15,8 +15,6 @@ from typing import TypeVar
 
 from dqwalk_ros.support.own_folder import own_folder, temporary
 
-__all__ = ["cache_folder", "remembered"]
-
 T = TypeVar("T")
 _MOST = 50
 """Number of results of a kind that are kept."""

@@ -28,12 +28,6 @@ from numba.np import arrayobj
 
 from dqwalk_ros.support.cache import cache_folder
 
-__all__ = [
-    "COMPILING", "FLOAT", "INTEGER", "INTEGERS", "MASK", "MATRIX", "NOTHING", "TABLE", "VECTOR", "Record", "Signature",
-    "digest", "jit",
-]  # fmt: skip
-
-
 _ROOT = pathlib.Path(__file__).parents[2]
 _IMPORT = re.compile(r"^ *from (dqwalk_ros[.\w]*) import", re.MULTILINE)
 

@@ -8,29 +8,6 @@ import traceback
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-__all__ = [
-    "BagError",
-    "ConfigError",
-    "DqwalkError",
-    "ModelError",
-    "OutputError",
-    "PhaseError",
-    "PlantError",
-    "QPError",
-    "StateError",
-    "StudyError",
-    "ViewerError",
-    "how_to_install",
-    "kinds",
-    "listed",
-    "missing",
-    "not_imported",
-    "one_line",
-    "printable",
-    "shown",
-    "unexpanded",
-]
-
 
 def listed(names: Collection[str]) -> str:
     """Return some names that came from outside, for a message that fits on a line and cannot act on a terminal."""

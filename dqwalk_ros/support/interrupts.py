@@ -11,8 +11,6 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-__all__ = ["as_ctrl_c", "deferred_interrupts", "end_with", "is_interrupt", "postponed_interrupts", "serve"]
-
 
 @contextlib.contextmanager
 def deferred_interrupts() -> Iterator[list[signal.Signals]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["NODES"]
-
 NODES = {
     "controller": "nodes.controller:Controller",
     "drive": "nodes.drive:RobotDrive",

@@ -12,8 +12,6 @@ from pathlib import Path
 
 from dqwalk_ros.support.errors import ConfigError, OutputError
 
-__all__ = ["refuse_existing", "refuse_inside", "write_text", "written"]
-
 
 @contextlib.contextmanager
 def written(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:

@@ -11,8 +11,6 @@ import tempfile
 from pathlib import Path
 from typing import IO
 
-__all__ = ["lock", "own_folder", "temporary"]
-
 
 def own_folder(path: Path) -> Path:
     """Return a folder, made if it is missing, that only this user can fill or replace.

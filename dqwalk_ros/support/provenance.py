@@ -12,8 +12,6 @@ from pathlib import Path
 
 from dqwalk_ros import __version__
 
-__all__ = ["from_text", "here", "machine", "to_text"]
-
 _PACKAGES = (
     "numpy",
     "numba",

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from dqwalk_ros.support.errors import ConfigError, listed
 
-__all__ = ["check_ros_environment"]
-
 _LAST_DOMAIN = 232
 """The ports of higher domains would be above 65535."""
 

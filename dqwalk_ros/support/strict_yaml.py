@@ -13,8 +13,6 @@ import yaml
 
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = ["MAX_BYTES", "line_of", "read", "read_text"]
-
 MAX_BYTES = 1 << 20
 """Largest size of a file."""
 _MOST_NESTED = 50

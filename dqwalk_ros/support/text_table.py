@@ -6,8 +6,6 @@ import io
 import re
 from collections.abc import Sequence
 
-__all__ = ["aligned", "without_numbers"]
-
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 _WIDTH = 10_000
 """Width of the console [characters]: no line is cut or wrapped, so that programs can read the output."""

@@ -7,11 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = [
-    "BODY_REQUIRED", "BODY_TOPICS", "FAILED", "FALLEN", "FINISHED", "ODOM", "OPTIONAL", "OTHERS", "PHASE_LOG",
-    "REQUIRED", "TOPICS", "WORLD", "Topic",
-]  # fmt: skip
-
 ODOM = "odom"
 """Frame of the base sole at the start of the walk [REP-105]."""
 

@@ -30,9 +30,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError, StateError, listed, shown
 
-__all__ = ["Arms", "Hand", "JointPath"]
-
-
 _LOOSE = 0.03
 """Factor of the errors of joints whose hand follows a pose: their posture decides what the pose leaves free."""
 _LONGEST_WAIT = 60.0

@@ -11,9 +11,6 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["NOT_MEASURED", "com_and_xi", "com_velocity", "measured", "moving_com", "projected"]
-
-
 NOT_MEASURED = np.empty(0)
 """Stands for an angular velocity that is not measured."""
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:  # the node pilot only publishes velocities
     from dqwalk_ros.controller import VelocityController
     from dqwalk_ros.paper.walk import Walk
 
-__all__ = ["Course", "Leg", "speeds"]
-
 _LONGEST = 86_400.0
 """Longest duration of a leg [s]."""
 _TOO_FAST = 1e3

@@ -17,8 +17,6 @@ from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["AtRest", "ComPath", "Follow", "FollowPose", "SwingPath", "Target", "com_path", "minimum_jerk"]
-
 
 @jit
 def minimum_jerk(s: float) -> tuple[float, float, float]:

@@ -10,8 +10,6 @@ import numpy as np
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["Footprint", "flat"]
-
 
 @dataclass(frozen=True)
 class Footprint:

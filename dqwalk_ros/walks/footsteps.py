@@ -20,9 +20,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.walks.footprint import Footprint, flat
 
-__all__ = ["Carried", "Footsteps", "Reached", "parsed", "stair_height"]
-
-
 _LEVER = 0.1
 """Length that weights angles against distances in the search for the nearest reachable pose [m/rad]."""
 _KEPT, _POSTURE = 30.0, 1e-3

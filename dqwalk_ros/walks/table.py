@@ -14,8 +14,6 @@ from dqwalk_ros.walks.dynamic.recovery import RecoveringWalk
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.standing.walk import StandingWalk
 
-__all__ = ["WALKS", "make_controller", "make_walk", "refuse_endless", "refuse_foreign_code", "walk_type"]
-
 WALKS: Mapping[str, type[Walk]] = {"paper": PaperWalk, "standing": StandingWalk, "dynamic": DynamicWalk}
 """Class of the walk of each ``gait.style``."""
 

@@ -33,9 +33,6 @@ from dqwalk_ros.support.topics import BODY_REQUIRED, BODY_TOPICS, ODOM
 from dqwalk_ros.whole_body.scenario import PAPER_TIMES, SCENARIOS, Scenario, Timed
 from dqwalk_ros.whole_body.trace import BodyLog
 
-__all__ = ["read_body", "write_body"]
-
-
 # ---------------------------------------------------------------------- writing
 
 

@@ -23,9 +23,6 @@ from dqwalk_ros.whole_body.hierarchy import Answer, Hierarchy, HierarchySolver
 from dqwalk_ros.whole_body.objectives import Distance, FrameOrientation, FramePosition, JointPosture, Objective
 from dqwalk_ros.whole_body.preview import PointMass, Stepping, previewed
 
-__all__ = ["BodyCommand", "BodyState", "BodyTick", "WholeBodyController"]
-
-
 _EPS = 1e-9
 _LOW = 0.2
 """Relative error of the CoM's height that counts as a fall."""

@@ -12,9 +12,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.text_table import aligned
 from dqwalk_ros.whole_body.trace import Reaction, WholeBodyTrace
 
-__all__ = ["KEPT", "Demand", "checks", "render_checks", "spread", "summary"]
-
-
 _LIMITS = {
     "cop_margin": ("CoP to the edge of its rectangle", "m"),
     "friction": ("force to the edge of the friction pyramid", "m g"),

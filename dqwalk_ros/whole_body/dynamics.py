@@ -23,9 +23,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["Dynamics", "FrameMotion", "Multibody", "rotation_error"]
-
-
 _WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 

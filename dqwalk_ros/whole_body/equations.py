@@ -22,9 +22,6 @@ from dqwalk_ros.whole_body.hierarchy import BALANCE, LAW, LIMIT, Hierarchy
 from dqwalk_ros.whole_body.objectives import Distance, Objective
 from dqwalk_ros.whole_body.preview import PointMass, Preview, Swing, swing_acceleration, swing_jerk
 
-__all__ = ["FACES", "Layout", "Scene", "friction_edges", "hierarchy", "joint_bounds"]
-
-
 FACES = 4
 """Number of edges of the friction pyramid."""
 _FAR = 500.0

@@ -19,8 +19,6 @@ from dqwalk_ros.whole_body.rigid_plant import BodyPlant, RigidPlant
 from dqwalk_ros.whole_body.scenario import Scenario
 from dqwalk_ros.whole_body.trace import BodyLog, BodyRecorder, Reaction, WholeBodyTrace
 
-__all__ = ["PLANTS", "follow", "make_body_plant", "retrace", "walk"]
-
 PLANTS = ("rigid", "physics")
 """Plants: rigid bodies on rigid ground, or MuJoCo."""
 

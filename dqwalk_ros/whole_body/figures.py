@@ -16,8 +16,6 @@ from dqwalk_ros.report.figures.style import BLUE, DASHED, FOOT, GREEN, GREY, INK
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.trace import WholeBodyTrace
 
-__all__ = ["drawn", "reactions", "solver", "walk_from_above"]
-
 
 @drawing()
 def solver(walked: WholeBodyTrace) -> Figure:

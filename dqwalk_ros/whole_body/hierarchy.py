@@ -22,9 +22,6 @@ from dqwalk_ros.paper.qp.daqp import EQUALITY, NO_BOUND
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import QPError
 
-__all__ = ["BALANCE", "LAW", "LIMIT", "Answer", "Hierarchy", "HierarchySolver"]
-
-
 LAW, LIMIT, BALANCE = 0, 1, 2
 """Levels of rows: equations of motion and contact, which are never relaxed; the rest of level 1; level 2."""
 _OPTIONS = {"primal_tol": 1e-9, "sing_tol": 1e-13, "iter_limit": 1000}

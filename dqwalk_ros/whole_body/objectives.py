@@ -18,16 +18,6 @@ import numpy as np
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.whole_body.dynamics import Dynamics, rotation_error
 
-__all__ = [
-    "Distance",
-    "FrameObjective",
-    "FrameOrientation",
-    "FrameOutsideSphere",
-    "FramePosition",
-    "JointPosture",
-    "Objective",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Objective(ABC):

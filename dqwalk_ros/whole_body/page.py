@@ -22,8 +22,6 @@ from dqwalk_ros.whole_body.figures import drawn
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.trace import WholeBodyTrace
 
-__all__ = ["body_replay_data", "write"]
-
 _CURVES = {
     "torque": ("torque, left to the limit", "%", 100.0),
     "joint": ("joints, left to a limit", "°", float(np.degrees(1.0))),

@@ -20,8 +20,6 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["PointMass", "Preview", "Stepping", "Swing", "previewed", "swing_acceleration", "swing_jerk"]
-
 _EPS = 1e-9
 
 

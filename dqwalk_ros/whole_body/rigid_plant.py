@@ -20,8 +20,6 @@ from dqwalk_ros.support.errors import PlantError
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
 from dqwalk_ros.whole_body.dynamics import Dynamics, Multibody
 
-__all__ = ["BodyPlant", "RigidPlant"]
-
 
 class BodyPlant(ABC):
     """A plant that executes joint torques and pushes.

@@ -11,8 +11,6 @@ from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.whole_body.controller import WholeBodyController
 
-__all__ = ["PAPER_TIMES", "SCENARIOS", "Scenario", "Timed", "fitted"]
-
 Timed = tuple[float, tuple[float, float, float]]
 """A time [s], and a position [m] or an impulse [N s]."""
 

@@ -19,9 +19,6 @@ from dqwalk_ros.support.errors import PlantError
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 
-__all__ = ["TorquePlant"]
-
-
 _STEP = 0.001
 """Largest time step of the engine [s]."""
 _FRICTION = 0.9

@@ -14,8 +14,6 @@ from dqwalk_ros.studies.pushes import Limit, every_limit
 from dqwalk_ros.whole_body.experiments import walk
 from dqwalk_ros.whole_body.scenario import Scenario
 
-__all__ = ["DIRECTIONS", "limit", "limits"]
-
 DIRECTIONS = ("ahead", "ahead, left", "left", "back, left", "back", "back, right", "right", "ahead, right")
 """Names of the directions of the push, every 45 degrees."""
 _FIRST, _MOST = 8.0, 256.0

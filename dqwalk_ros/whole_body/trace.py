@@ -18,8 +18,6 @@ from dqwalk_ros.whole_body.controller import BodyState, WholeBodyController
 from dqwalk_ros.whole_body.rigid_plant import BodyPlant
 from dqwalk_ros.whole_body.scenario import Scenario
 
-__all__ = ["BodyLog", "BodyRecorder", "Reaction", "WholeBodyTrace"]
-
 
 @dataclass(frozen=True)
 class Reaction:

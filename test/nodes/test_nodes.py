@@ -22,12 +22,13 @@ from std_srvs.srv import Trigger
 from dqwalk_ros.cli.runner import environment, private_domain, run_walk
 from dqwalk_ros.config import load, to_yaml
 from dqwalk_ros.nodes import command_line
-from dqwalk_ros.nodes.command_line import NODES, parse
+from dqwalk_ros.nodes.command_line import parse
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.topics import OPTIONAL, TOPICS
 from dqwalk_ros.walks.table import make_controller
 

@@ -17,8 +17,9 @@ import yaml
 
 from dqwalk_ros.cli import dqwalk
 from dqwalk_ros.config import Config, load, with_files
-from dqwalk_ros.nodes.command_line import NODES, docstring, parameters_of, parse, sections_of
+from dqwalk_ros.nodes.command_line import docstring, parameters_of, parse, sections_of
 from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.topics import BODY_TOPICS, PHASE_LOG, TOPICS
 from dqwalk_ros.walks.course import speeds
 from dqwalk_ros.walks.table import walk_type

@@ -15,10 +15,10 @@ import yaml
 from stand_in_launch import MODULES, Context, Launch, StandIn
 
 from dqwalk_ros.config import SHIPPED, Config, from_yaml, load
-from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.robot.model import load_model, parse_model
 from dqwalk_ros.robot.packages import expanded
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.node_table import NODES
 
 ROOT = Path(__file__).resolve().parents[2]
 FILE = ROOT / "launch" / "walk.launch.py"

@@ -22,9 +22,9 @@ import pytest
 
 import dqwalk_ros
 from dqwalk_ros.cli.runner import private_domain
-from dqwalk_ros.nodes.command_line import NODES
 from dqwalk_ros.support import errors
 from dqwalk_ros.support.errors import how_to_install
+from dqwalk_ros.support.node_table import NODES
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -14,7 +14,7 @@ import pytest
 from stepped_time import SteppedTime
 
 from dqwalk_ros.config import find_share, load, with_files
-from dqwalk_ros.nodes.command_line import NODES
+from dqwalk_ros.support.node_table import NODES
 
 ROOT = Path(__file__).resolve().parents[2]
 WAYS = ("publish", "subscribe", "reply", "request")

@@ -28,18 +28,6 @@ from dqwalk_ros.whole_body.hierarchy import BALANCE, Hierarchy, HierarchySolver
 from dqwalk_ros.whole_body.preview import PointMass
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
-__all__ = [
-    "Answers",
-    "Infeasible",
-    "checked_walk",
-    "clarabel_solution",
-    "condensed_difference",
-    "discretized",
-    "infeasible",
-    "inverse_dynamics",
-    "model_difference",
-]
-
 Array = NDArray[np.float64]
 
 

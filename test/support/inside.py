@@ -25,10 +25,11 @@ from stepped_time import SteppedTime
 
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.command_line import NODES, parse
+from dqwalk_ros.nodes.command_line import parse
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import Inertial, Plant
 from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.support.node_table import NODES
 
 _yaml = functools.cache(to_yaml)
 

@@ -15,9 +15,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import QPError
 
-__all__ = ["ClarabelSolver"]
-
-
 _OMIT_BEYOND = 1.0
 """Rows further than this many gradient steps at u = 0 enter only if the first solution violates them."""
 _RETRY = ("NotOptimal", "Violated", "AlmostSolved", "InsufficientProgress", "NumericalError", "MaxIterations")

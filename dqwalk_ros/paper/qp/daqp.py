@@ -12,9 +12,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError, QPError, how_to_install
 
-__all__ = ["EQUALITY", "NO_BOUND", "DaqpSolver"]
-
-
 EQUALITY = 5
 """DAQP's code of an equality."""
 NO_BOUND = 1e30

@@ -13,9 +13,6 @@ import numpy as np
 from dqwalk_ros.paper.qp.problem import Problem
 from dqwalk_ros.support.errors import QPError
 
-__all__ = ["Conflict", "conflicts", "explained", "lead_back"]
-
-
 _LEAST_FRACTION = 1e-3
 """Least fraction of the desired return speed that `lead_back` accepts."""
 _RETURN_FRACTION = 0.9

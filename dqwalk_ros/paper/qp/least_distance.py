@@ -17,9 +17,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import QPError
 
-__all__ = ["NnlsSolver", "Posed", "answer", "pose", "unsolved"]
-
-
 Posed = tuple[Array, Array, Array, Array]
 """M, q, A and b, as `pose` fills them."""
 _NEAREST = 1e-12

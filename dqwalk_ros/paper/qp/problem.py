@@ -20,21 +20,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import QPError
 
-__all__ = [
-    "Problem",
-    "Residuals",
-    "Shape",
-    "Solution",
-    "Solver",
-    "check",
-    "check_finite",
-    "kkt",
-    "objective",
-    "parts",
-    "scale",
-]
-
-
 PRIMAL = 1e-7
 """Largest scaled violation of a row that is accepted."""
 LEAST_SCALE = 1e-9

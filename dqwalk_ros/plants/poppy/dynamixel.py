@@ -21,21 +21,6 @@ import numpy as np
 from dqwalk_ros.robot.servos import ServoType
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = [
-    "DAMAGED",
-    "ERROR_BITS",
-    "FULL_TORQUE",
-    "LIMITS",
-    "SILENT",
-    "UNSENT",
-    "Clock",
-    "DynamixelBus",
-    "Identity",
-    "Registers",
-    "find_port",
-    "open_port",
-]
-
 Clock = Callable[[], float]
 
 

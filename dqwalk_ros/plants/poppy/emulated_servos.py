@@ -13,8 +13,6 @@ from collections.abc import Callable, Sequence
 from dqwalk_ros.plants.poppy.dynamixel import GOAL, LIMITS, PRESENT, TORQUE_ENABLE, TORQUE_LIMIT
 from dqwalk_ros.robot.servos import ServoType
 
-__all__ = ["EmulatedPort", "EmulatedServo", "EmulatedServos"]
-
 _PING, _READ, _WRITE, _SYNC_WRITE, _SYNC_READ = 1, 2, 3, 0x83, 0x84
 _ADAPTER = 0xFD
 """Id with which a USB2AX answers a sync read of several servos."""

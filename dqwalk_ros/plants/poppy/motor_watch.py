@@ -14,9 +14,6 @@ from dqwalk_ros.plants.poppy.dynamixel import DAMAGED, ERROR_BITS, FULL_TORQUE, 
 from dqwalk_ros.plants.servo_goals import JUMPS
 from dqwalk_ros.support.arrays import Array, Mask
 
-__all__ = ["Measured", "MotorWatch", "Part"]
-
-
 _BRIEF = 1.0
 """Longest timeout after which the motion continues; after a longer one an operator must activate the robot [s]."""
 _TWICE = 2

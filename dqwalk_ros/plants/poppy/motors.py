@@ -13,9 +13,6 @@ from dqwalk_ros.robot.servos import ServoType
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = ["Motor", "calibration", "load_motors", "typed"]
-
-
 _Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 
 

@@ -45,9 +45,6 @@ from dqwalk_ros.support.errors import ConfigError, PlantError
 if TYPE_CHECKING:
     from dqwalk_ros.robot.clearance import Clearance
 
-__all__ = ["PoppyPlant", "open_buses", "register_speed"]
-
-
 MIN_SPEED = 1.4
 """Least speed: two units of 0.684 deg/s of the servo's speed register [deg/s]. A speed of less than half a unit is
 rounded to 0, which means unlimited speed."""

@@ -22,12 +22,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.support.text_table import without_numbers
 
-__all__ = [
-    "NS", "Fault", "JointStates", "Messages", "Stamps", "Status", "Table", "aligned", "at_stamps", "diagnostics",
-    "diagnostics_of", "faults", "joint_states", "new", "pack", "pack_joint_states", "pack_known", "pack_poses",
-    "pose_numbers", "pose_of", "serialize", "stamped", "stamps_of", "tables", "text", "texts", "unpack",
-]  # fmt: skip
-
 Stamps = NDArray[np.int64]
 """Time stamps, shape (N,) [ns]."""
 Messages = tuple[str, Stamps, list[bytes]]

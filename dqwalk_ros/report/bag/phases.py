@@ -24,9 +24,6 @@ from dqwalk_ros.support.errors import BagError, PhaseError, listed, shown
 from dqwalk_ros.trace import PhaseRecord
 from dqwalk_ros.walks.table import walk_type
 
-__all__ = ["FARTHEST", "is_last", "judged", "records", "starts"]
-
-
 FARTHEST = 100.0
 """Angles above this [rad] are errors of a sensor or of the file; positions above this [m] likewise."""
 _SAME_POSE = 5e-3

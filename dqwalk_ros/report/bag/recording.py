@@ -21,8 +21,6 @@ from dqwalk_ros.support.topics import Topic
 from dqwalk_ros.trace import Recorded
 from dqwalk_ros.walks.table import refuse_foreign_code
 
-__all__ = ["Recording", "is_body", "open_recording", "preamble"]
-
 
 @dataclass(frozen=True)
 class Recording:

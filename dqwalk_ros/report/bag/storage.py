@@ -38,11 +38,6 @@ from dqwalk_ros.support.errors import BagError, OutputError
 from dqwalk_ros.support.output import refuse_existing, written
 from dqwalk_ros.support.topics import BODY_TOPICS, TOPICS, Topic
 
-__all__ = [
-    "Column", "Content", "Source", "connect", "content_of", "flush", "load", "open_writer", "refuse_other", "typestore",
-    "write_columns",
-]  # fmt: skip
-
 
 @cache
 def typestore() -> Any:

@@ -42,8 +42,6 @@ from dqwalk_ros.support.errors import BagError, one_line
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
 from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace, known_loads
 
-__all__ = ["read", "read_orientations", "write"]
-
 _CLOCK = 10**18
 """Stamps above this [ns], a time in 2001, are those of a clock; smaller ones are simulated time."""
 _UNIT = 0.01

@@ -37,8 +37,6 @@ from dqwalk_ros.report.verdict import TILT
 from dqwalk_ros.robot.model import Sole
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["on_the_ground", "top_view"]
-
 _HULL, _HULL_EDGE = "#eef1f4", "#c9d1d9"
 _LONG = 0.45
 """Length of a walk [m] above which it is drawn above its margins instead of beside them."""

@@ -28,9 +28,6 @@ from dqwalk_ros.report.figures.style import (
 from dqwalk_ros.report.metrics import Series, Span
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["figure7", "figure8", "figure9"]
-
-
 _TONES = 10
 """Number of tones of a colour for the cycles of a walk; the phases of more cycles share them."""
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.studies.pushes import Limit
     from dqwalk_ros.studies.robustness import Cell
 
-__all__ = ["MARGINS", "margins_of", "pushes_figure", "robustness_figure", "study_figure"]
-
 # ---------------------------------------------------------------------- walks with parameters varied
 
 MARGINS = {

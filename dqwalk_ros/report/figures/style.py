@@ -19,26 +19,6 @@ from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.output import written
 
-__all__ = [
-    "BLUE",
-    "DASHED",
-    "FOOT",
-    "GREEN",
-    "GREY",
-    "INK",
-    "MUTED",
-    "ORANGE",
-    "RED",
-    "drawing",
-    "joined",
-    "mark_phases",
-    "name_phases",
-    "new_figure",
-    "set_time_limits",
-    "write_figure",
-]
-
-
 BLUE, GREEN, RED, ORANGE = map(hexed, (colors.BLUE, colors.GREEN, colors.RED, colors.ORANGE))
 INK, GREY, MUTED = map(hexed, (colors.INK, colors.GREY, colors.MUTED))
 FOOT = {foot: hexed(color) for foot, color in colors.FOOT.items()}

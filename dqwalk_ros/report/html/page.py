@@ -23,9 +23,6 @@ from dqwalk_ros.report.metrics import Series
 from dqwalk_ros.support import provenance
 from dqwalk_ros.support.output import write_text
 
-__all__ = ["Markup", "Subject", "bad", "figures", "heading", "origin_table", "replay", "table", "write", "write_page"]
-
-
 _SHAPES = (
     "Its edge is red while the centre of mass is outside. Orange: the plane or cylinder of the tightest constraint, "
     "and on the ground the divergent component of motion."

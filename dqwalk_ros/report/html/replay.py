@@ -19,8 +19,6 @@ from dqwalk_ros.report.scene import BodyShape, Moments, NamedRegion, Scene, shap
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["Mark", "Stretch", "frames_of", "replay_data", "shape_data", "walk_data"]
-
 _FRAMES, _RATE = 2400, 60.0
 """Largest number of frames of a walk, and largest rate [Hz]; the replay interpolates between them."""
 _DIGITS = 7

@@ -13,8 +13,6 @@ from urllib.parse import urlsplit
 import msgspec
 import websockets.asyncio.server
 
-__all__ = ["HOST", "guarded"]
-
 HOST = "127.0.0.1"
 """The page is served to this machine only, because it has no password."""
 _LOCAL = {HOST, "localhost", "::1"}

@@ -23,9 +23,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ViewerError
 from dqwalk_ros.walks.table import walk_type
 
-__all__ = ["Page"]
-
-
 PORT = 8080
 """Default port; if it is in use, the next free one."""
 FRAME = 1.0 / 30.0

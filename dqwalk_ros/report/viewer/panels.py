@@ -9,8 +9,6 @@ import numpy as np
 from dqwalk_ros.report.colors import GREEN, INK, MUTED, ORANGE, RED, TIGHT, hexed
 from dqwalk_ros.report.scene import Gauge, View, tightest
 
-__all__ = ["History", "margins_html", "status_html"]
-
 _MOST = 900
 """Most points of a curve; when it has more, every second one is dropped."""
 _WIDTH, _HEIGHT = 300.0, 34.0

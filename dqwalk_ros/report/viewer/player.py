@@ -36,8 +36,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, ViewerError
 from dqwalk_ros.trace import PhaseRecord, Trace
 
-__all__ = ["Feed", "Player"]
-
 _SPEEDS = ("0.25", "0.5", "1", "2", "5", "10", "20", "50")
 _CURVE = 400
 """Points of each curve."""

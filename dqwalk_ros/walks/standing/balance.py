@@ -23,9 +23,6 @@ from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.com import NOT_MEASURED, moving_com
 from dqwalk_ros.walks.following import ComPath, com_path
 
-__all__ = ["Balance"]
-
-
 _NO_EDGES = np.empty((0, 2)), np.empty(0)
 
 

@@ -30,9 +30,6 @@ from dqwalk_ros.walks.footprint import flat
 from dqwalk_ros.walks.standing.balance import Balance
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 
-__all__ = ["StandingWalk"]
-
-
 _STOPPED = 0.05
 """Part of the sole's length from which on a foot behind its path is stopped by an obstacle; the swing is slow."""
 

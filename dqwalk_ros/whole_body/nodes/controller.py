@@ -25,9 +25,6 @@ from dqwalk_ros.whole_body import controller as core
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
 from dqwalk_ros.whole_body.hierarchy import Answer
 
-__all__ = ["WholeBodyController"]
-
-
 _PARTS = 20
 """Most states of which messages are missing."""
 _AT_REST = 0.05

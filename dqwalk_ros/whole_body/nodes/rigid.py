@@ -25,8 +25,6 @@ from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
-__all__ = ["Rigid"]
-
 
 class Rigid(SimulatedPlant):
     """Simulate the robot of the whole-body controller: rigid bodies on rigid ground.
