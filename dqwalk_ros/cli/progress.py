@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import sys
-import time
+import threading
 from typing import Any, Self
 
 from tqdm import tqdm
@@ -12,23 +11,25 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 __all__ = ["Progress"]
 
-_PAUSE = 10.0
-"""Time between two lines where there is no terminal [s]."""
+_TICK, _PAUSE = 1.0, 10.0
+"""Longest time between two states of the bar, and between two lines where there is no terminal [s]."""
 
 
 class Progress:
     """Shows the fraction done, times passed and left, and a line of text; a context manager.
 
-    On a terminal this is a bar, in a file or pipe a line every ten seconds.
+    On a terminal this is a bar, in a file or pipe a line every ten seconds; both also while no progress is reported.
     """
 
     def __init__(self, *, quiet: bool = False) -> None:
-        terminal = sys.stderr.isatty()
-        self._due = math.inf if quiet or terminal else time.monotonic() + _PAUSE  # the next line in a file
+        self._terminal = sys.stderr.isatty()
+        self._fraction, self._text, self._over = 0.0, "", threading.Event()
+        self._thread = None if quiet else threading.Thread(target=self._keep_showing, daemon=True)
         self._bar = tqdm(
             total=1.0,
-            disable=quiet or not terminal,
+            disable=quiet or not self._terminal,
             leave=False,
+            miniters=0,  # a new text is shown also without progress
             dynamic_ncols=True,  # what is too long for a line is cut off at its end
             bar_format="{percentage:3.0f} % |{bar:20}| {elapsed}<{remaining} {desc}",
         )
@@ -36,11 +37,23 @@ class Progress:
     def __enter__(self) -> Self:
         self._above = logging_redirect_tqdm()  # log messages are printed above the bar
         self._above.__enter__()
+        if self._thread is not None:
+            self._thread.start()
         return self
 
     def __exit__(self, *_: Any) -> None:
+        self._over.set()
+        if self._thread is not None:
+            self._thread.join()
         self._bar.close()
         self._above.__exit__(None, None, None)
+
+    def _keep_showing(self) -> None:
+        while not self._over.wait(_TICK if self._terminal else _PAUSE):
+            if self._terminal:
+                self._bar.refresh()
+            else:
+                print(f"{100.0 * self._fraction:3.0f} % {self._text}", file=sys.stderr, flush=True)
 
     def print(self, text: str) -> None:
         """Print a line on standard output, above the bar."""
@@ -48,18 +61,12 @@ class Progress:
 
     def __call__(self, fraction: float, text: str = "") -> None:
         """Show the fraction done and some text."""
-        fraction = min(1.0, max(0.0, fraction))
+        self._fraction, self._text = min(1.0, max(0.0, fraction)), text
         self._bar.set_description_str(text, refresh=False)
-        self._bar.update(fraction - self._bar.n)
-        self._line(fraction, text)
+        self._bar.update(self._fraction - self._bar.n)
 
     def stage(self, fraction: float, text: str) -> None:
         """Show at once the fraction done and the name of a stage, during which the bar does not change."""
+        self._fraction, self._text = fraction, text
         self._bar.n = fraction
         self._bar.set_description_str(text)
-        self._line(fraction, text)
-
-    def _line(self, fraction: float, text: str) -> None:
-        if (now := time.monotonic()) >= self._due:
-            self._due = now + _PAUSE
-            print(f"{100.0 * fraction:3.0f} % {text}", file=sys.stderr, flush=True)

@@ -104,9 +104,12 @@ def reactions(walked: WholeBodyTrace) -> Figure:
     panels[-1].set_xlabel("time [s]")
     for when, _ in walked.scenario.targets[1:]:
         for ax in panels:
-            ax.axvline(when, color=GREY, linestyle=(0, (3, 3)), linewidth=0.9)
+            ax.axvline(when, color=GREY, linestyle=(0, (3, 3)), linewidth=0.9, label="new target")
     _mark_pushes(tuple(panels), walked)
-    fig.legend(handles=panels[0].get_lines()[:5], loc="outside lower center", ncols=5, fontsize=8.5)
+    handles = {line.get_label(): line for line in panels[0].get_lines()}
+    fig.legend(
+        handles=[*handles.values()], loc="outside lower center", ncols=5 if len(handles) < 7 else 4, fontsize=8.5
+    )
     what = " and pushes" if walked.scenario.pushes else ""
     title = f"{walked.scenario.name}: reactions to a target that moves{what}"
     fig.suptitle(title, fontweight="bold", x=0.01, ha="left")
@@ -125,4 +128,4 @@ def drawn(walks: Sequence[WholeBodyTrace]) -> Iterator[Drawn]:
 def _mark_pushes(panels: Sequence[Axes], walked: WholeBodyTrace) -> None:
     for when, _ in walked.scenario.pushes:
         for ax in panels:
-            ax.axvline(when, color=RED, linewidth=1.0)
+            ax.axvline(when, color=RED, linewidth=1.0, label="push")

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import termios
+import time
 from pathlib import Path
 
 import click
@@ -558,19 +559,25 @@ def test_a_package_of_another_python_is_named_before_a_program_has_begun(tmp_pat
 # ---------------------------------------------------------------------- progress
 
 
-def test_progress_in_a_file_is_a_line_every_ten_seconds(capsys, monkeypatch):
-    now = 0.0
-    monkeypatch.setattr("dqwalk_ros.cli.progress.time.monotonic", lambda: now)
-    for quiet, err in ((False, " 70 % walking\n100 % drawing\n"), (True, "")):
-        with Progress(quiet=quiet) as bar:
-            bar.stage(0.5, "reading")
-            for passed in (4.0, 8.0):  # [s]
-                now += passed
-                bar(0.7, "walking")
-            bar.print("a line")
-            now += 11.0
-            bar.stage(1.0, "drawing")
-        assert capsys.readouterr() == ("a line\n", err)
+@pytest.mark.parametrize("quiet", [False, True])
+def test_progress_in_a_file_is_a_line_now_and_then(quiet, capsys, monkeypatch):
+    monkeypatch.setattr("dqwalk_ros.cli.progress._PAUSE", 0.1)
+    with Progress(quiet=quiet) as bar:
+        bar.stage(0.5, "reading")
+        bar(0.7, "walking")
+        bar.print("a line")
+        time.sleep(0.15)
+    assert capsys.readouterr() == ("a line\n", "" if quiet else " 70 % walking\n")
+
+
+def test_the_time_passes_on_a_terminal_also_without_progress(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("dqwalk_ros.cli.progress._TICK", 0.1)
+    with Progress() as bar:
+        bar.stage(0.5, "reading")
+        capsys.readouterr()
+        time.sleep(0.15)
+    assert "reading" in capsys.readouterr().err
 
 
 def test_progress_shows_fraction_text_and_time_left(capsys, monkeypatch):
@@ -586,6 +593,15 @@ def test_progress_shows_fraction_text_and_time_left(capsys, monkeypatch):
         bar(0.5, "never")
         bar.stage(0.5, "never")
     assert capsys.readouterr().err == ""
+
+
+def test_a_new_text_is_shown_also_without_progress(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with Progress() as bar:
+        for fraction, text in ((0.5, "first"), (0.5, "second")):
+            time.sleep(0.11)  # longer than tqdm's interval
+            bar(fraction, text)
+    assert "second" in capsys.readouterr().err
 
 
 def test_a_log_message_does_not_continue_the_line_of_the_progress_bar(capsys, monkeypatch):

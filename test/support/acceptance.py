@@ -225,7 +225,7 @@ def render(demands: Sequence[Requirement]) -> str:
     lines = aligned(rows).splitlines()
     must, aims = [one for one in demands if one.must], [one for one in demands if not one.must]
     met, reached = sum(one.ok for one in must), sum(one.ok for one in aims)
-    total = f"{met} of {len(must)} demands met, {reached} of {len(aims)} aims reached"
+    total = f"{met} of {len(must)} requirements met, {reached} of {len(aims)} aims reached"
     return "\n".join([lines[0], "-" * max(map(len, lines)), *lines[1:], "", total])
 
 
@@ -240,7 +240,9 @@ def main() -> int:
     total, done = sum(scenario.duration for scenario, _ in wanted.values()), 0.0
     found: dict[str, tuple[WholeBodyTrace, Answers]] = {}
     with Progress() as bar, parallel_config("loky", inner_max_num_threads=1):
+        bar.stage(0.0, "requirements without a walk")
         demands = unit_demands(config)
+        bar.stage(0.0, f"0 of {len(wanted)} walks")
         parallel = Parallel(args.jobs, return_as="generator_unordered", batch_size=1)
         named = (delayed(_named)(key, config.updated(dict(changes)), one) for key, (one, changes) in wanted.items())
         for key, one in parallel(named):

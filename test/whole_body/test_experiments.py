@@ -212,7 +212,7 @@ def test_every_requirement_is_evaluated() -> None:
     assert wrong == {"15 N s, N = 8", "v' and Clarabel's, 1 ticks, differ by [rad/s^2]"}
     text = acceptance.render(bad)
     assert "NOT OK" in text
-    assert f"of {sum(row.must for row in bad)} demands met" in text
+    assert f"of {sum(row.must for row in bad)} requirements met" in text
 
 
 @pytest.mark.long

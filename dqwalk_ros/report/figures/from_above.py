@@ -40,8 +40,8 @@ from dqwalk_ros.support.arrays import Array
 _HULL, _HULL_EDGE = "#eef1f4", "#c9d1d9"
 _LONG = 0.45
 """Length of a walk [m] above which it is drawn above its margins instead of beside them."""
-_NUMBERS = 40
-"""Number of steps from which only some of them are numbered."""
+_APART = 0.25
+"""Least distance between the numbers of two steps [inch]."""
 
 
 def _corners(x: Array, sole: Sole) -> Array:
@@ -68,11 +68,17 @@ def _legend(fig: Figure, handles: list[Any]) -> None:
     fig.legend(handles=handles, loc="outside lower center", ncols=7, fontsize=8.5)
 
 
-def _finish(ax: Axes, title: str, x: str, y: str, adjustable: str) -> None:
-    ax.set_aspect("equal", adjustable=adjustable)  # type: ignore[arg-type]
+def _title(fig: Figure, series: Series, where: str, more: str = "") -> None:
+    steps = sum(not span.double for span in series.spans)
+    title = f"{series.trace.model.name} {where}: {steps} step{'s' if steps != 1 else ''}{more}"
+    fig.suptitle(title, fontsize=12, fontweight="bold")
+
+
+def _finish(ax: Axes, title: str) -> None:
+    ax.set_aspect("equal", adjustable="datalim")
     ax.margins(0.03)
     ax.autoscale_view()
-    ax.set(xlabel=x, ylabel=y, title=title)
+    ax.set(xlabel="forward, x [m]", ylabel="to the left, y [m]", title=title)
 
 
 # ---------------------------------------------------------------------- by the odometry
@@ -81,17 +87,17 @@ def _finish(ax: Axes, title: str, x: str, y: str, adjustable: str) -> None:
 @drawing()
 def top_view(series: Series) -> Figure:
     """Draw the footsteps and the CoM in odom, and the margins of the CoM over time."""
-    reach = float(np.ptp(series.com_odom[:, 0])) + 0.25
-    steps = sum(not span.double for span in series.spans)
+    reach, broad = np.ptp(_known_com(series)[:, :2], axis=0) + 0.25
+    width, height = 4.5, 3.9  # of the view from above [inch]
     if reach < _LONG:
         fig = new_figure(11.5, 5.2)
         ground, margins = fig.subplots(1, 2, width_ratios=[1.0, 1.15])
     else:
-        height = float(np.clip(11.0 * 0.26 / reach, 1.8, 5.0))
+        width, height = 10.6, float(np.clip(11.0 * 0.26 / reach, 1.8, 5.0))
         fig = new_figure(11.5, height + 3.6)
         ground, margins = fig.subplots(2, 1, height_ratios=[height, 2.2])
     own = urdf_soles(series.trace)
-    _draw_footsteps(ground, series, own)
+    _draw_footsteps(ground, series, own, apart=_APART * max(reach / width, broad / height))
     _draw_margins(margins, series)
     handles = [*_soles_legend(), Patch(facecolor=_HULL, edgecolor=_HULL_EDGE, label="double-support polygon")]
     if series.trace.config.gait.style == "paper":
@@ -101,12 +107,17 @@ def top_view(series: Series) -> Figure:
     if own is not None:
         handles.append(Line2D([], [], color=ORANGE, linewidth=1.0, alpha=0.6, label="sole of the URDF"))
     _legend(fig, handles)
-    title = f"{series.trace.model.name}: {steps} step{'s' if steps != 1 else ''} from above"
-    fig.suptitle(title, fontsize=12, fontweight="bold")
+    _title(fig, series, "from above")
     return fig
 
 
-def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -> None:
+def _known_com(series: Series) -> Array:
+    """Return the path (m, 3) of the CoM in odom [m], without the states of which it is not known."""
+    return series.com_odom[np.isfinite(series.com_odom).all(axis=1)]
+
+
+def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None, apart: float) -> None:
+    """Draw soles and CoM, and the numbers of the last steps, and of those before that are `apart` [m] from them."""
     soles, places = series.trace.model.soles, series.soles
     initial = [_corners(places[foot][0], soles[foot]) for foot in Foot]
     _draw_polygons(ax, initial, GREY, linestyle=":", linewidth=1.2, zorder=2)
@@ -128,21 +139,24 @@ def _draw_footsteps(ax: Axes, series: Series, own: Mapping[Foot, Sole] | None) -
         "ha": "center",
         "va": "center",
     }
-    for index in range(0, len(singles), 1 + len(singles) // _NUMBERS):
-        span = singles[index]
+    numbered: dict[Foot, list[Array]] = {foot: [] for foot in Foot}
+    for index, span in reversed([*enumerate(singles)]):
         swing = span.phase.base.other
-        x, y, _ = DQ(places[swing][span.end - 1]).transform_point(soles[swing].center)
+        place = DQ(places[swing][span.end - 1]).transform_point(soles[swing].center)[:2]
+        if any(np.linalg.norm(place - other) < apart for other in numbered[swing]):
+            continue
+        numbered[swing].append(place)
         beside = (0.0, 10.0 if swing is Foot.LEFT else -10.0)  # [points], outwards, where the CoM does not go
-        ax.annotate(str(index + 1), (x, y), beside, textcoords="offset points", color=FOOT[swing], **text)
+        ax.annotate(str(index + 1), (place[0], place[1]), beside, textcoords="offset points", color=FOOT[swing], **text)
     for span in singles[-1:]:  # the last landing
         swing = span.phase.base.other
         landed = _corners(places[swing][span.end - 1], soles[swing])
         _draw_polygons(ax, [landed], FOOT[swing], FOOT[swing] + "12", linewidth=1.4, zorder=3)
-    com = series.com_odom[np.isfinite(series.com_odom).all(axis=1)]
+    com = _known_com(series)
     ax.plot(com[:, 0], com[:, 1], color=INK, linewidth=2.0, zorder=6, path_effects=halo)
     for tick, fill in ((0, "white"), (-1, INK)):
         ax.plot(*com[tick, :2], "o", color=fill, markeredgecolor=INK, markersize=6, zorder=7)
-    _finish(ax, "A   Footsteps and centre of mass", "forward, x [m]", "to the left, y [m]", "datalim")
+    _finish(ax, "A   Footsteps and centre of mass")
 
 
 def _draw_steps(ax: Axes, series: Series, spans: Sequence[Span], base: Foot, own: Mapping[Foot, Sole] | None) -> None:
@@ -217,10 +231,7 @@ def on_the_ground(series: Series) -> Figure:
         handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label=label))
     _legend(fig, handles)
     turned = of.stands[-1, 2]
-    steps = sum(not span.double for span in series.spans)
-    title = f"{series.trace.model.name} in physics: {steps} steps"
-    title += f", {np.degrees(turned):+.0f} degrees" if abs(turned) > 0.1 else ""
-    fig.suptitle(title, fontsize=12, fontweight="bold")
+    _title(fig, series, "in physics", f", turned by {np.degrees(turned):+.0f} degrees" if abs(turned) > 0.1 else "")
     return fig
 
 
@@ -236,7 +247,7 @@ def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
     ax.plot(of.physics.cop[:, 0], of.physics.cop[:, 1], color=ORANGE, linewidth=0.8, alpha=0.85, zorder=4)
     ax.plot(of.com[:, 0], of.com[:, 1], color=INK, linewidth=1.6, zorder=5)
     ax.plot(*of.stands[:, :2].T, "o", color=GREY, markersize=2.5, zorder=6)
-    _finish(ax, "A   True motion from above", "x [m]", "y [m]", "box")
+    _finish(ax, "A   True motion from above")
 
 
 def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
@@ -265,10 +276,10 @@ def _draw_loads(ax: Axes, series: Series, of: Ground) -> None:
     part = true[:, 0] / np.maximum(true.sum(axis=1), 1e-3)
     ax.fill_between(series.time, 0.0, part, color=FOOT[Foot.LEFT], alpha=0.35, linewidth=0.0)
     ax.fill_between(series.time, part, 1.0, color=FOOT[Foot.RIGHT], alpha=0.35, linewidth=0.0)
-    title = "D   Part of the weight on each foot"
+    title = "D   Fraction of the weight on each foot"
     if (loads := series.trace.loads) is not None:
         ax.plot(series.time, loads[:, 0] / np.maximum(loads.sum(axis=1), 1e-3), color=INK, linewidth=0.8)
-        title += ", and of the left one from torques (line)"
+        title += "; line: on the left one, estimated from torques"
     set_time_limits(ax, series)
-    ax.set(xlabel="time [s]", ylabel="part", ylim=(0.0, 1.0))
+    ax.set(xlabel="time [s]", ylabel="fraction", ylim=(0.0, 1.0))
     ax.set_title(title)

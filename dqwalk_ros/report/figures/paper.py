@@ -162,7 +162,7 @@ def figure8(series: Series) -> Figure:
             "distance [mm]",
             mm * series.com_to_axis,
             mm * config.ssp.com_radius,
-            "boundary of the SP",
+            "boundary of the support",
         ),
         _pelvis(series),
     ]
@@ -185,8 +185,9 @@ def figure9(series: Series) -> Figure:
         _joint(ax, series, i)
     for ax in list(grid.flat)[len(order) :]:
         ax.remove()
-    for ax in grid[-1]:
+    for ax in list(grid.flat)[max(len(order) - 2, 0) : len(order)]:  # the last one of each column
         ax.set_xlabel("time [s]")
+        ax.tick_params(labelbottom=True)
     for ax in grid[0]:
         low, high = ax.get_ylim()
         ax.set_ylim(low, high + 0.2 * (high - low))
