@@ -343,7 +343,7 @@ class Assembly:
         """Return values and quadratic program; see `walk.Phase.evaluate`."""
         for live, copy in self._live:
             copy[:] = live
-        (n, l, m), r = self._shape, self.task_rows  # noqa: E741
+        (n, l, m), r = self._shape, self.task_rows
         values, J, wanted = np.empty(r + l + m + 2 * n), np.empty((r + l + m, n)), np.empty(r)
         problem = Problem.empty(self._shape, self.names)
         error = _assemble(

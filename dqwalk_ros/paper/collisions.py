@@ -179,7 +179,7 @@ def lines_apart(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array
     Parallel lines have the distance of p from the other line; there the distance has a kink, because lines that are
     not quite parallel meet far away, and the gradient is that of p.
     """
-    w, l, k = s[:3] - s[6:9], s[3:6], s[9:]  # noqa: E741
+    w, l, k = s[:3] - s[6:9], s[3:6], s[9:]
     c = l @ k
     sine = 1.0 - c * c
     t = (c * (k @ w) - l @ w) / sine if sine > 1e-9 else 0.0

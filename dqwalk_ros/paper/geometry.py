@@ -40,11 +40,11 @@ class Plane:
 class Line:
     """Pluecker line l + eps m: unit direction `l` (3,), and moment m = p x l (3,) [m] with any point p of the line."""
 
-    l: Array  # noqa: E741 - the paper's symbol
+    l: Array
     m: Array
 
     @classmethod
-    def through(cls, p: ArrayLike, l: ArrayLike) -> Self:  # noqa: E741
+    def through(cls, p: ArrayLike, l: ArrayLike) -> Self:
         """Return the line through the point `p` (3,) along `l` (3,), which need not be of unit length."""
         direction = np.asarray(l, dtype=np.float64)
         direction = direction / np.linalg.norm(direction)
@@ -143,7 +143,7 @@ def moved_inside(p: Array, n: Array, d: Array, margin: float) -> Array:
 
 
 @jit
-def point_to_line_squared(p: Array, l: Array, m: Array) -> tuple[float, Array]:  # noqa: E741
+def point_to_line_squared(p: Array, l: Array, m: Array) -> tuple[float, Array]:
     """Squared distance |p x l - m|^2 of a point p (3,) from the line l + eps m [m^2], eq. (24) of [Marinho2019].
 
     Returns

@@ -109,7 +109,7 @@ def test_segments_that_meet_are_in_contact_without_a_direction():
 
 
 def lines(rng):
-    p, l, q, k = rng.normal(size=(4, 3))  # noqa: E741
+    p, l, q, k = rng.normal(size=(4, 3))
     return np.concatenate([p, l / np.linalg.norm(l), q, k / np.linalg.norm(k)])
 
 

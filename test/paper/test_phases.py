@@ -47,7 +47,7 @@ def upright_distance(p, a, b, inside):
 
 def rows_of(problem):
     """Every row as name -> (coefficients, right-hand side)."""
-    l, m, n = problem.e.size, problem.h.size, problem.c.size  # noqa: E741
+    l, m, n = problem.e.size, problem.h.size, problem.c.size
     A = np.concatenate([problem.E, problem.G, np.eye(n), np.eye(n)])
     b = np.concatenate([problem.e, problem.h, problem.upper, problem.lower])
     assert len(problem.names) == l + m + 2 * n

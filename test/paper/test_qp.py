@@ -35,7 +35,7 @@ def test_residuals_detect_a_wrong_solution(residual):
     right = make_solver("clarabel").solve(problem)
     assert right.residuals(problem).largest < 1e-9
     z = right.z.copy()
-    l, n = problem.e.size, problem.c.size  # noqa: E741
+    l, n = problem.e.size, problem.c.size
     if residual == "stationarity":
         wrong = dataclasses.replace(right, u=right.u * 1.01)
     elif residual == "primal":

@@ -83,7 +83,7 @@ class ClarabelSolver:
         self, problem: Problem, s: float, curvature: float, chosen: NDArray[np.int64], *, careful: bool = False
     ) -> Solution:
         """Return the checked solution of a problem with the inequalities `chosen` only."""
-        n, l, m = problem.shape  # noqa: E741
+        n, l, m = problem.shape
         key = (n, l, len(chosen), careful)  # the compiled functions trust the sizes of the program's arrays
         program = self._programs.get(key)
         if program is None:
@@ -114,7 +114,7 @@ class _ClarabelProgram:
         M, q, A and b, as `pose` fills them.
     """
 
-    def __init__(self, n: int, l: int, k: int, *, careful: bool) -> None:  # noqa: E741
+    def __init__(self, n: int, l: int, k: int, *, careful: bool) -> None:
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.presolve_enable = False  # presolving would change the sparsity pattern

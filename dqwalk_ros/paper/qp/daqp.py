@@ -25,7 +25,7 @@ def _pose(numbers: Array, shape: Shape, H: Array, c: Array, A: Array, high: Arra
     """Fill DAQP's H, c, A, high and low of low <= [v; A v] <= high, with A = W; return s and the mean curvature."""
     unscaled_H, unscaled_c, A[:], w, lower, upper = parts(numbers, shape)
     s, curvature = scale(numbers, shape)
-    n, l, _ = shape  # noqa: E741
+    n, l, _ = shape
     np.divide(unscaled_H, curvature, H)
     np.divide(unscaled_c, s * curvature, c)
     np.divide(lower, s, low[:n])
@@ -43,7 +43,7 @@ def _answer(
 
     DAQP's multiplier of a row at its lower bound is negative.
     """
-    n, l, m = shape  # noqa: E741
+    n, l, m = shape
     k, force = l + m, s * curvature
     u *= s
     z[:l], z[l:k] = force * lam[n : n + l], -force * lam[n + l :]
@@ -96,7 +96,7 @@ class DaqpSolver:
         QPError
             If there is no solution; the rows in conflict are named.
         """
-        shape = n, l, m = problem.shape  # noqa: E741
+        shape = n, l, m = problem.shape
         k, kept = l + m, self._models.get(shape)
         posed = kept[1] if kept else (np.empty((n, n)), np.empty(n), np.empty((k, n)), np.empty(n + k), np.empty(n + k))
         s, curvature = _pose(problem.numbers, shape, *posed)

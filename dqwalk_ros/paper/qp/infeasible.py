@@ -50,7 +50,7 @@ def conflicts(problem: Problem) -> Conflict | None:
     """
     from scipy.optimize import linprog  # slow to import and rarely needed
 
-    n, l, m = problem.shape  # noqa: E741
+    n, l, m = problem.shape
     rows = np.vstack([problem.E, -problem.G, np.eye(n), -np.eye(n)])  # E u = e, and A u <= b for the rest
     b = np.concatenate([problem.e, -problem.h, problem.upper, -problem.lower])
     if not (np.isfinite(rows).all() and np.isfinite(b).all()):
@@ -103,7 +103,7 @@ def lead_back(problem: Problem) -> tuple[Problem, float]:
     """
     from scipy.optimize import linprog  # slow to import and rarely needed
 
-    n, l, _ = problem.shape  # noqa: E741
+    n, l, _ = problem.shape
     wanted, satisfied = np.maximum(problem.h, 0.0), np.minimum(problem.h, 0.0)
     rise, low = np.maximum(problem.lower, 0.0), np.minimum(problem.lower, 0.0)
     fall, high = np.minimum(problem.upper, 0.0), np.maximum(problem.upper, 0.0)

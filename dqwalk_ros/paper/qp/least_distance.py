@@ -32,7 +32,7 @@ def pose(numbers: Array, shape: Shape, s: float, curvature: float, chosen: NDArr
     come first, is zero, that of the inequalities is not negative.
     """
     H, c, W, w, lower, upper = parts(numbers, shape)
-    (n, l, m), (M, q, A, b) = shape, posed  # noqa: E741
+    (n, l, m), (M, q, A, b) = shape, posed
     k = chosen.shape[0]
     rows = np.zeros((n, l + k))
     rows[:, :l], b[:l] = W[:l].T, w[:l] / s
@@ -85,7 +85,7 @@ def answer(
     y: Array, u: Array, z: Array,
 ) -> tuple[float, float, float, float, int]:  # fmt: skip
     """Fill u and z with the primal and dual solution t and y, unscaled; return their residuals (see `kkt`)."""
-    (M, q, _, _), l = posed, shape[1]  # noqa: E741
+    (M, q, _, _), l = posed, shape[1]
     u[:], z[:] = s * ((t - q) @ M), 0.0
     z[:l] = s * curvature * y[:l]
     for k in range(chosen.shape[0]):
@@ -126,7 +126,7 @@ class NnlsSolver:
         QPError
             If there is no solution, or the result does not fulfil the optimality conditions.
         """
-        n, l, m = problem.shape  # noqa: E741
+        n, l, m = problem.shape
         s, curvature = scale(*problem[:2])
         check_finite(s, curvature)
         rows = np.arange(m + 2 * n)

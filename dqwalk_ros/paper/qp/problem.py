@@ -97,7 +97,7 @@ class Problem(NamedTuple):
     @classmethod
     def empty(cls, shape: Shape, names: tuple[str, ...]) -> Self:
         """Return a problem whose numbers are not filled in yet."""
-        n, l, m = shape  # noqa: E741
+        n, l, m = shape
         return cls(np.empty((l + m) * (n + 1) + n * (n + 3)), shape, names)
 
     def replaced(self, *, names: tuple[str, ...] | None = None, **changes: Array) -> Self:
@@ -269,7 +269,7 @@ def kkt(
     complementarity the slack is scaled like the violations, and limited to one gradient step.
     """
     H, c, W, w, lower, upper = parts(numbers, shape)
-    n, l, m = shape  # noqa: E741
+    n, l, m = shape
     k = l + m
     signed = z[:k].copy()
     signed[l:] *= -1.0
