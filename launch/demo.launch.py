@@ -7,12 +7,10 @@ The page is on 127.0.0.1; the node viewer logs its address. Further nodes may st
 `ros2 run teleop_twist_keyboard teleop_twist_keyboard`.
 """
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import IncludeLaunchDescription
-from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch import LaunchDescription
 
-from dqwalk_ros.config import find_config, find_share
-from dqwalk_ros.nodes.launching import description, values_of
+from dqwalk_ros.config import find_config
+from dqwalk_ros.nodes.launching import description, included
 
 ARGUMENTS = {
     "config": ("poppy_dynamic", "parameter file of a standing or dynamic walk, or the name of a shipped one", None),
@@ -24,12 +22,9 @@ ARGUMENTS = {
 STEERED = "gait.steps=0 gait.cmd_vel_timeout=1.0"  # a key that is held repeats after 0.66 s
 
 
-def nodes(context: LaunchContext) -> list[object]:
-    given = values_of(context, ARGUMENTS)
-    given["config"] = str(find_config(given["config"]))
-    given["set"] = f"{STEERED} {given['set']}"
-    source = PythonLaunchDescriptionSource(str(find_share("launch", "walk.launch.py")))
-    return [IncludeLaunchDescription(source, launch_arguments=given.items())]
+def nodes(given: dict[str, str]) -> list[object]:
+    own = {"config": str(find_config(given["config"])), "set": f"{STEERED} {given['set']}"}
+    return [included("walk", given | own)]
 
 
 def generate_launch_description() -> LaunchDescription:

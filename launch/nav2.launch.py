@@ -9,13 +9,11 @@ fixed:=false where a localization publishes map -> odom.
 """
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from launch import LaunchContext, LaunchDescription
-from launch.actions import IncludeLaunchDescription
-from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch import LaunchDescription
 from launch_ros.actions import Node
 
 from dqwalk_ros.config import find_config, find_share
-from dqwalk_ros.nodes.launching import description, values_of
+from dqwalk_ros.nodes.launching import description, included
 
 ARGUMENTS = {
     "config": ("poppy_dynamic", "parameter file of a standing or dynamic walk, or the name of a shipped one", None),
@@ -47,8 +45,7 @@ PASSED = {
 """Topics of a node under another name: wanted velocities pass the smoother on their way to the walk."""
 
 
-def nodes(context: LaunchContext) -> list[object]:
-    given = values_of(context, ARGUMENTS)
+def nodes(given: dict[str, str]) -> list[object]:
     config = str(find_config(given["config"]))
     try:
         for package in SERVERS.values():
@@ -58,8 +55,7 @@ def nodes(context: LaunchContext) -> list[object]:
     started: list[object] = []
     if given["walk"] == "true":
         passed = {name: given[name] for name in ("plant", "set", "view", "bag")}
-        source = PythonLaunchDescriptionSource(str(find_share("launch", "demo.launch.py")))
-        started.append(IncludeLaunchDescription(source, launch_arguments=({"config": config} | passed).items()))
+        started.append(included("demo", {"config": config} | passed))
     for name, package in SERVERS.items():
         own = {"yaml_filename": given["map"]} if name == "map_server" else {}
         started.append(

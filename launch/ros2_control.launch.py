@@ -6,15 +6,14 @@ ros2 launch dqwalk_ros ros2_control.launch.py plugin:=mujoco_ros2_control/Mujoco
 For a robot whose controllers are running already, walk.launch.py plant:=ros2_control is sufficient.
 """
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import IncludeLaunchDescription, RegisterEventHandler
+from launch import LaunchDescription
+from launch.actions import RegisterEventHandler
 from launch.event_handlers import OnProcessExit
-from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile
 
 from dqwalk_ros.config import find_config, find_share
-from dqwalk_ros.nodes.launching import description, values_of
+from dqwalk_ros.nodes.launching import description, included
 from dqwalk_ros.robot.packages import expanded
 
 PLUGINS = [
@@ -39,8 +38,7 @@ ARGUMENTS = {
 }  # fmt: skip
 
 
-def nodes(context: LaunchContext) -> list[object]:
-    given = values_of(context, ARGUMENTS)
+def nodes(given: dict[str, str]) -> list[object]:
     space, time = given["namespace"], {"use_sim_time": given["use_sim_time"] == "true"}
     arguments = {name: given[name] for name in ("plugin", "mujoco_model")}
     urdf = expanded(find_share("urdf", "poppy.ros2_control.urdf.xacro"), arguments=arguments)
@@ -72,10 +70,7 @@ def nodes(context: LaunchContext) -> list[object]:
         values = {"plant": "ros2_control", "interface": given["interface"], "namespace": space,
                   "config": str(find_config(given["config"])), "params": given["params"], "set": given["set"],
                   "use_sim_time": given["use_sim_time"]}  # fmt: skip
-        walk = IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(find_share("launch", "walk.launch.py"))),
-            launch_arguments={name: value for name, value in values.items() if value}.items(),
-        )
+        walk = included("walk", {name: value for name, value in values.items() if value})
         started.append(RegisterEventHandler(OnProcessExit(target_action=spawner, on_exit=[walk])))
     return started
 

@@ -19,7 +19,7 @@ from launch_ros.actions import Node
 
 from dqwalk_ros.cli.options import parse_overrides
 from dqwalk_ros.config import Config, find_config, find_params, find_share, load, overlaid, replaced, with_files
-from dqwalk_ros.nodes.launching import description, values_of
+from dqwalk_ros.nodes.launching import description
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
 
@@ -72,8 +72,7 @@ def typed(changes: dict[str, object]) -> dict[str, object]:
     return {name: (list(flat[name]) or [""]) if isinstance(flat[name], tuple) else flat[name] for name in changes}
 
 
-def nodes(context: LaunchContext) -> list[object]:
-    given = values_of(context, ARGUMENTS)
+def nodes(given: dict[str, str]) -> list[object]:
     lockstep, rviz = given["lockstep"] == "true", given["rviz"] == "true"
     sim_time = given["use_sim_time"] == "true"
     plant = entry(given["plant"])

@@ -6,14 +6,14 @@ ros2 topic pub --once /push geometry_msgs/msg/WrenchStamped '{wrench: {force: {y
 dqwalk report my_walk
 """
 
-from launch import LaunchContext, LaunchDescription
+from launch import LaunchDescription
 from launch.actions import EmitEvent, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch_ros.actions import Node
 
 from dqwalk_ros.config import find_config
-from dqwalk_ros.nodes.launching import description, values_of
+from dqwalk_ros.nodes.launching import description
 
 ARGUMENTS = {
     "config": ("whole_body", "parameter file of all nodes, or the name of a shipped one; `dqwalk config` explains each "
@@ -23,8 +23,7 @@ ARGUMENTS = {
 }  # fmt: skip
 
 
-def nodes(context: LaunchContext) -> list[object]:
-    given = values_of(context, ARGUMENTS)
+def nodes(given: dict[str, str]) -> list[object]:
     values = {
         "node.end_with_parent": True,
         "node.wait_for_recorder": bool(given["bag"]),

@@ -1,4 +1,4 @@
-"""What the launch files share: the description of their arguments, and which machines can discover their nodes."""
+"""What the launch files share: their arguments, inclusion, and which machines can discover their nodes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, SetEnvironmentVariable
+from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 
-from dqwalk_ros.config import Config
+from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.support.errors import ConfigError
 
 Arguments = Mapping[str, tuple[str, str, Sequence[str] | None]]
@@ -38,15 +39,21 @@ def values_of(context: LaunchContext, arguments: Arguments) -> dict[str, str]:
     return {name: LaunchConfiguration(name).perform(context) for name in arguments}
 
 
+def included(name: str, given: Mapping[str, str]) -> IncludeLaunchDescription:
+    """Return the inclusion of another launch file of this package, with the values of its arguments."""
+    source = PythonLaunchDescriptionSource(str(find_share("launch", f"{name}.launch.py")))
+    return IncludeLaunchDescription(source, launch_arguments=given.items())
+
+
 def description(
-    arguments: Arguments, nodes: Callable[[LaunchContext], Sequence[object]], *, discovery: bool = True
+    arguments: Arguments, nodes: Callable[[dict[str, str]], Sequence[object]], *, discovery: bool = True
 ) -> LaunchDescription:
     """Return the description of a launch file.
 
     Parameters
     ----------
     nodes : callable
-        Returns what is started.
+        Returns what is started with the values of the arguments (`values_of`).
     discovery : bool
         Whether to add an argument that says which machines can discover the nodes, by default only this one.
     """
@@ -64,4 +71,5 @@ def description(
             ),
             SetEnvironmentVariable(_DISCOVERY, LaunchConfiguration("discovery")),
         ]
-    return LaunchDescription([*declared, OpaqueFunction(function=nodes)])
+    start = OpaqueFunction(function=lambda context: nodes(values_of(context, arguments)))
+    return LaunchDescription([*declared, start])

@@ -58,9 +58,7 @@ def start(defined: dict[str, Any]) -> Start:
     """Return a function of launch arguments that returns the nodes by name and the other actions."""
 
     def start(**given: str) -> tuple[dict[str, StandIn], list[StandIn]]:
-        actions = defined["nodes"](
-            Context({name: default for name, (default, *_) in defined["ARGUMENTS"].items()} | given)
-        )
+        actions = defined["nodes"]({name: default for name, (default, *_) in defined["ARGUMENTS"].items()} | given)
         nodes = {one.given["name"]: one for one in actions if type(one).__name__ == "Node"}
         return nodes, [one for one in actions if one not in nodes.values()]
 
@@ -160,20 +158,24 @@ def test_an_argument_that_is_misspelt_starts_no_other_walk(defined: dict[str, An
     """`ros2 launch` ignores it: the default robot would walk on the default plant."""
     context = Context({name: default for name, (default, *_) in defined["ARGUMENTS"].items()})
     context.argv = ("config:=poppy", word)
+    from dqwalk_ros.nodes.launching import values_of
+
     with pytest.raises(ConfigError, match=expected):
-        defined["nodes"](context)
+        values_of(context, defined["ARGUMENTS"])
 
 
 def test_no_argument_of_a_launch_file_is_taken_for_a_misspelt_one_of_another(
     defined: dict[str, Any], others: dict[str, dict[str, Any]]
 ) -> None:
     """A launch file that is included sees the command line of the one that includes it."""
+    from dqwalk_ros.nodes.launching import values_of
+
     files = [defined, *others.values()]
     words = tuple(f"{name}:=x" for own in files for name in own["ARGUMENTS"])
     for own in files:
         context = Context({name: default for name, (default, *_) in own["ARGUMENTS"].items()})
         context.argv = (*words, "discovery:=OFF", "model:=robot.urdf", "use_rviz:=true", "params_file:=x")
-        own["values_of"](context, own["ARGUMENTS"])
+        values_of(context, own["ARGUMENTS"])
 
 
 def test_single_parameters_are_applied_last(start: Start) -> None:
@@ -191,7 +193,7 @@ def test_the_nodes_of_a_launch_end_with_it(start: Start, others: dict[str, dict[
     """Also when `ros2 launch` itself is killed."""
     for plant in ("integrator", "physics", "poppy", "ros2_control"):
         assert all(config_of(node).node.end_with_parent for node in start(plant=plant, view="true")[0].values())
-    body = others["whole_body"]["nodes"](Context({"config": "whole_body", "lockstep": "false", "bag": ""}))
+    body = others["whole_body"]["nodes"]({"config": "whole_body", "lockstep": "false", "bag": ""})
     assert [one.given["parameters"][1]["node.end_with_parent"] for one in body if "name" in one.given] == [True] * 2
 
 
@@ -271,7 +273,7 @@ def others(monkeypatch: pytest.MonkeyPatch, defined: dict[str, Any]) -> dict[str
 def test_ros2_control_passes_its_parameters_to_the_walk(others: dict[str, dict[str, Any]]) -> None:
     own = others["ros2_control"]
     given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()}
-    *_, handler = own["nodes"](Context(given | {"params": "identified.yaml", "set": "gait.steps=1"}))
+    *_, handler = own["nodes"](given | {"params": "identified.yaml", "set": "gait.steps=1"})
     (walk,) = handler.args[0].given["on_exit"]
     passed = dict(walk.given["launch_arguments"])
     assert (passed["params"], passed["set"]) == ("identified.yaml", "gait.steps=1")
@@ -282,8 +284,8 @@ def test_every_launch_file_refuses_a_configuration_that_does_not_exist(others: d
     for name, own in others.items():
         given = {key: default for key, (default, *_) in own["ARGUMENTS"].items()}
         with pytest.raises(ConfigError, match="no configuration 'whole_bdy'"):
-            own["nodes"](Context(given | {"config": "whole_bdy"}))
-        assert own["nodes"](Context(given)), name
+            own["nodes"](given | {"config": "whole_bdy"})
+        assert own["nodes"](given), name
 
 
 def test_nodes_are_discovered_on_this_machine_only_unless_asked_otherwise(
@@ -308,7 +310,7 @@ def test_nodes_are_discovered_on_this_machine_only_unless_asked_otherwise(
 def test_every_node_has_its_enclave(defined: dict[str, Any], others: dict[str, dict[str, Any]]) -> None:
     for own in (defined, others["ros2_control"], others["whole_body"]):
         given = {key: default for key, (default, *_) in own["ARGUMENTS"].items()}
-        nodes = [one for one in own["nodes"](Context(given)) if type(one).__name__ == "Node"]
+        nodes = [one for one in own["nodes"](given) if type(one).__name__ == "Node"]
         assert nodes
         for node in nodes:
             name = node.given.get("name", node.given["executable"])
@@ -319,7 +321,7 @@ def test_the_demo_is_a_steered_walk_in_physics_on_the_page(others: dict[str, dic
     own = others["demo"]
     given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()}
     for changes, timeout in (("", 1.0), ("gait.cmd_vel_timeout=2.0", 2.0)):
-        (walk,) = own["nodes"](Context(given | {"set": changes}))
+        (walk,) = own["nodes"](given | {"set": changes})
         nodes, _ = start(**dict(walk.given["launch_arguments"]))
         assert set(nodes) == {"controller", "phase_monitor", "physics", "viewer"}
         config = config_of(nodes["controller"])
@@ -332,14 +334,14 @@ def test_nav2_steers_the_demo_within_its_limits(others: dict[str, dict[str, Any]
     """Each managed node has parameters under its name, and wanted velocities reach the walk through the smoother."""
     own = others["nav2"]
     given = {name: default for name, (default, *_) in own["ARGUMENTS"].items()}
-    walk, *started = own["nodes"](Context(given | {"set": "gait.lead=1"}))
+    walk, *started = own["nodes"](given | {"set": "gait.lead=1"})
     assert dict(walk.given["launch_arguments"])["set"] == "gait.lead=1"
     nodes = {one.given["name"]: one.given for one in started}
     managed = nodes["lifecycle_manager"]["parameters"][0]["node_names"]
     parameters = yaml.safe_load((ROOT / "config" / "nav2" / "nav2.yaml").read_text())
     assert set(managed) | {"local_costmap", "global_costmap"} == set(parameters)
     assert set(nodes) == {*managed, "lifecycle_manager", "map"}
-    alone = own["nodes"](Context(given | {"walk": "false", "fixed": "false"}))
+    alone = own["nodes"](given | {"walk": "false", "fixed": "false"})
     assert [one.given["name"] for one in alone] == [*managed, "lifecycle_manager"]
     renamed = {name: dict(nodes[name]["remappings"]) for name in managed}
     assert {name for name, topics in renamed.items() if topics.get("cmd_vel") == "cmd_vel_nav"} == {
@@ -355,7 +357,7 @@ def test_nav2_that_is_not_installed_is_named(others: dict[str, dict[str, Any]]) 
     own = others["nav2"]
     own["nodes"].__globals__["get_package_prefix"] = missing
     with pytest.raises(RuntimeError, match="sudo apt install ros-jazzy-navigation2"):
-        own["nodes"](Context({name: default for name, (default, *_) in own["ARGUMENTS"].items()}))
+        own["nodes"]({name: default for name, (default, *_) in own["ARGUMENTS"].items()})
 
 
 def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:

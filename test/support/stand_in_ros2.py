@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from stand_in_launch import MODULES, Context, Launch, StandIn
+from stand_in_launch import MODULES, Launch, StandIn
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -77,7 +77,7 @@ def actions_of(file: Path, given: dict[str, str]) -> list[StandIn]:
     assert given.keys() <= own["ARGUMENTS"].keys(), f"{file.name} has no arguments {given.keys()}"
     found = []
     values = {name: default for name, (default, *_) in own["ARGUMENTS"].items()} | given
-    for one in own["nodes"](Context(values)):
+    for one in own["nodes"](values):
         included = type(one).__name__ == "IncludeLaunchDescription"
         found += actions_of(Path(one.args[0].args[0]), dict(one.given["launch_arguments"])) if included else [one]
     return found
