@@ -25,6 +25,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
+from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.nodes import messages as ros
@@ -226,11 +227,24 @@ class WalkNode(Node):
         self._recorded = self._recorded or not wanted or self._within(within, self.is_recorded)
         return self._recorded
 
-    def answer(self, response: Any, success: bool, message: str) -> Any:
-        """Return the response of a Trigger or SetBool service, and log its message."""
-        self.get_logger().info(message)
-        response.success, response.message = success, message
-        return response
+    def offer(self, service: str, act: Callable[[], tuple[bool, str]]) -> None:
+        """Offer a service of the type Trigger, whose answer is that of `perform`."""
+
+        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            response.success, response.message = self.perform(act)
+            return response
+
+        self.create_service(Trigger, service, serve)
+
+    def perform(self, act: Callable[[], tuple[bool, str]]) -> tuple[bool, str]:
+        """Do something; log and return whether it succeeded, and what follows or why not. An error is no success."""
+        try:
+            success, message = act()
+            self.get_logger().info(message)
+        except DqwalkError as error:
+            success, message = False, str(error)
+            self.get_logger().error(message)
+        return success, message
 
     def refuse_a_second(self) -> None:
         """Refuse to start if a node of this name is already running, because the same walk was launched twice.

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
-from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.nodes import messages as ros
@@ -156,10 +155,10 @@ class Controller(AnsweringNode):
         self._arms = ArmInput(self, self._controller, self._odometry, self._gate.time_of) if moves_arms else None
         if self._arms is not None:
             self._falls.gives_up = self._arms.give_up
-        self.create_service(Trigger, "~/start", self._start)
-        self.create_service(Trigger, "~/pause", self._pause)
-        self.create_service(Trigger, "~/stop", self._stop)
-        self.create_service(Trigger, "~/reset", self._reset)
+        self.offer("~/start", self._start)
+        self.offer("~/pause", self._pause)
+        self.offer("~/stop", self._stop)
+        self.offer("~/reset", self._reset)
         self.get_logger().info(
             f"{self._model.name}: {self._model.n} joints, {walk_type(config).describe(config)}, "
             f"{'lockstep' if self.lockstep else f'real time, dt {config.dt} s'}, {self._mode.value}"
@@ -351,55 +350,52 @@ class Controller(AnsweringNode):
             if self.lockstep:
                 self._end(f"{reason}; {error}")
             else:
-                self._pause(Trigger.Request(), Trigger.Response())
+                self.perform(self._pause)
             return
         self._ended_for = reason
         self.get_logger().info("stopping: after the current step the feet are put together")
 
     # ------------------------------------------------------------------ services
 
-    def _start(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _start(self) -> tuple[bool, str]:
         if self._mode in (Mode.IDLE, Mode.PAUSED) or (self._mode is Mode.WALKING and self._pausing):
             if self._gate.fault:
-                return self.answer(response, False, f"{self._gate.fault}; call ~/reset first")
+                return False, f"{self._gate.fault}; call ~/reset first"
             if self._plant_warning:
-                return self.answer(response, False, f"the plant warns: {self._plant_warning}")
+                return False, f"the plant warns: {self._plant_warning}"
             self._controller.pause(False)
             self._mode, self._pausing = Mode.WALKING, False
             self._show_phase()
-            return self.answer(response, True, "walking" if self._plant_ready else "walking once the plant is ready")
+            return True, "walking" if self._plant_ready else "walking once the plant is ready"
         if self._mode is Mode.WALKING:
-            return self.answer(response, True, "already walking")
+            return True, "already walking"
         why = "it is over" if self._mode is Mode.DONE else f"it failed: {self._problem}"
-        return self.answer(response, False, f"this walk cannot continue, {why}; call ~/reset first")
+        return False, f"this walk cannot continue, {why}; call ~/reset first"
 
-    def _pause(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _pause(self) -> tuple[bool, str]:
         if self._mode is not Mode.WALKING:
-            return self.answer(response, self._mode is Mode.PAUSED, f"not walking: {self._mode.value}")
+            return self._mode is Mode.PAUSED, f"not walking: {self._mode.value}"
         self._controller.pause(True)
         if not self._controller.may_hold:
             self._pausing = True
-            return self.answer(response, True, "pausing: it puts its feet together, then it stands; ~/start continues")
+            return True, "pausing: it puts its feet together, then it stands; ~/start continues"
         self._mode = Mode.PAUSED
         self._show_phase()
-        return self.answer(response, True, "paused: holding still; ~/start continues")
+        return True, "paused: holding still; ~/start continues"
 
-    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _stop(self) -> tuple[bool, str]:
         if self._mode is not Mode.WALKING:
             how = "; ~/start, then ~/stop" if self._mode is Mode.PAUSED else ""
-            return self.answer(response, False, f"not walking: {self._mode.value}{how}")
-        try:
-            self._controller.stop()
-        except DqwalkError as error:
-            return self.answer(response, False, str(error))
-        return self.answer(response, True, "stopping: after the current step the feet are put together")
+            return False, f"not walking: {self._mode.value}{how}"
+        self._controller.stop()
+        return True, "stopping: after the current step the feet are put together"
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         if self._falls.lying:
-            return self.answer(response, False, f"{self._falls.lying}; put it on its feet first")
+            return False, f"{self._falls.lying}; put it on its feet first"
         would_fall = self._mode is Mode.WALKING and self._has_begun and not self._controller.may_hold
         if would_fall and not (self.lockstep or self._stale):
-            return self.answer(response, False, "it would fall in mid-step; call ~/pause first, then it stands")
+            return False, "it would fall in mid-step; call ~/pause first, then it stands"
         self._end_footsteps()
         self._controller.reset()
         self._odometry.restart()
@@ -412,7 +408,7 @@ class Controller(AnsweringNode):
         self._falls.forget()
         self._failures.reset()
         self._show_phase()
-        return self.answer(response, True, "the next walk starts from the current posture of the robot; call ~/start")
+        return True, "the next walk starts from the current posture of the robot; call ~/start"
 
     # ------------------------------------------------------------------ topics
 

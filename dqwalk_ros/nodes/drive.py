@@ -17,7 +17,6 @@ import numpy as np
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from dqwalk_ros.nodes import messages as ros
@@ -125,7 +124,7 @@ class RobotDrive(WalkNode):
         self._last: Array | None = None  # values sent last
         self._led, self._holds, self._next = np.zeros((3, len(own)))  # by velocity: see `_lead_to`
         self._rejected = 0
-        self.create_service(Trigger, "~/reset", self._reset)
+        self.offer("~/reset", self._reset)
         self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
         self.create_subscription(JointState, VELOCITY, self._on_command, 1)
         self.create_timer(_CHECK, self._check)
@@ -244,11 +243,11 @@ class RobotDrive(WalkNode):
             if self._now() - self._stopped > _REPEATED:
                 self._law.end()  # the robot may be switched off and moved by hand
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         self._stay()
         self._commands.gate.hold()
         self._law.forget()
-        return self.answer(response, True, "the next command begins at the measured angles")
+        return True, "the next command begins at the measured angles"
 
     def _now(self) -> float:
         """Return the time by which the robot moves [s]: the steady clock, or /clock with use_sim_time.

@@ -15,7 +15,6 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
@@ -256,7 +255,7 @@ class Physics(SimulatedPlant):
         self._stamp0 = self.get_clock().now().nanoseconds
         self._pushed_until = -1  # tick
         self._max_impulse = _MAX_SPEED * self.model.mass  # [N s]
-        self.create_service(Trigger, "~/reset", self._reset)
+        self.offer("~/reset", self._reset)
         self.create_subscription(WrenchStamped, "push", self._on_push, 10)
         self.log_ready()
         if not self.config.plant.imu:
@@ -318,13 +317,13 @@ class Physics(SimulatedPlant):
         self._pushed_until = self.ticks + periods
         self.get_logger().info("pushed: {:g}, {:g}, {:g} N s".format(*impulse) + f" within {periods * self.dt:g} s")
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         if self.lockstep:
-            return self.answer(response, False, "lockstep time cannot be set back: restart the node")
+            return False, "lockstep time cannot be set back: restart the node"
         self.plant = self.make_plant()
         self.commands.gate.hold()
         self.trouble = ""
-        return self.answer(response, True, "the robot stands; the controller needs ~/reset and ~/start")
+        return True, "the robot stands; the controller needs ~/reset and ~/start"
 
     def close(self) -> None:
         """Log the achieved rate and the delays of the ticks."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
@@ -97,7 +98,7 @@ class PoppyDriver(WalkNode):
         self._goals = self.create_publisher(JointState, "joint_goals", 10)
         self.create_subscription(JointState, VELOCITY, self._on_command, 1)
         self.create_subscription(String, "phase", self._on_phase, 1)
-        self.create_service(Trigger, "~/activate", self._on_activate)
+        self.offer("~/activate", partial(self._switch, True))
         self.create_service(SetBool, "~/compliant", self._on_compliant)
         self.create_timer(self._period, self._on_period)
         self.create_timer(1.0 / config.monitor.rate, self._diagnose)
@@ -175,31 +176,25 @@ class PoppyDriver(WalkNode):
         self._commands.forbid(reason)
         self._commands.warn(plant.warning)
 
-    def _on_activate(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._switch(True, response)
-
     def _on_compliant(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        return self._switch(not request.data, response)
+        response.success, response.message = self.perform(partial(self._switch, not request.data))
+        return response
 
     def _on_phase(self, msg: String) -> None:
         """Switch the torque off when the robot has fallen; ignore a fall from before this driver was started."""
         if msg.data == FALLEN and (self._plant.active or self._plant.stiff):
             self.get_logger().error("the robot has fallen: switching the torque off")
-            self._switch(False, SetBool.Response())
+            self.perform(partial(self._switch, False))
 
-    def _switch(self, on: bool, response: Any) -> Any:
+    def _switch(self, on: bool) -> tuple[bool, str]:
         if on and self._plant.active and not self._plant.watch.faults:  # it may be in mid-step
-            return self.answer(response, True, "the torque is on already")
+            return True, "the torque is on already"
         self._commands.gate.hold()
         try:
             self._plant.activate() if on else self._plant.release()
-            done = "the torque is on: moving to the first pose, slowly" if on else "the torque is off"
-            self.answer(response, True, done)
-        except PlantError as error:
-            response.success, response.message = False, str(error)
-            self.get_logger().error(response.message)
-        self._hold_for_a_reason()
-        return response
+        finally:
+            self._hold_for_a_reason()
+        return True, "the torque is on: moving to the first pose, slowly" if on else "the torque is off"
 
     # ------------------------------------------------------------------ diagnostics
 

@@ -237,9 +237,7 @@ def test_footsteps_in_a_sole_frame_and_cancellation_by_an_empty_path(robot: Kine
 def test_footsteps_that_are_not_walked_are_not_called_done(
     robot: KinematicRobot, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from std_srvs.srv import Trigger
-
-    controller, ask = robot.node.node, (Trigger.Request(), Trigger.Response())
+    controller = robot.node.node
     robot.walk(10)
     frame = MODEL.soles[Foot.LEFT].frame
     assert robot.send(*[turned(0.02 * k, 0.0) * (BESIDE if k % 2 else DQ(1.0)) for k in range(1, 6)], frame=frame)
@@ -250,11 +248,11 @@ def test_footsteps_that_are_not_walked_are_not_called_done(
     assert [msg.data for msg in robot.node.got["footstep_status"][-2:]] == 2 * ["walking 0/5"]
     robot.until("walking 1/5")
     if how == "stop":
-        assert controller._stop(*ask).success
+        assert controller._stop()[0]
     elif how == "reset":
-        assert controller._pause(*ask).success
-        assert controller._reset(*ask).success
-        assert controller._start(*ask).success
+        assert controller._pause()[0]
+        assert controller._reset()[0]
+        assert controller._start()[0]
     else:
         controller._end("a reason")
     robot.walk(700)

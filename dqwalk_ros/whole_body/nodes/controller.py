@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode
@@ -89,7 +88,7 @@ class WholeBodyController(AnsweringNode):
         self.create_subscription(PoseStamped, "base_pose", self._on_pose, 10)
         self.create_subscription(TwistStamped, "base_twist", self._on_twist, 10)
         self.create_subscription(PoseStamped, "hand_target", self._on_target, 10)
-        self.create_service(Trigger, "~/reset", self._reset)
+        self.offer("~/reset", self._reset)
         self.get_logger().info(f"{model.name}: {model.n} joints, {model.mass:.1f} kg, no target yet")
 
     # ------------------------------------------------------------------ a state in three messages
@@ -213,13 +212,13 @@ class WholeBodyController(AnsweringNode):
             self._targets_rejected += 1
             self.get_logger().error(f"hand_target rejected: {error}")
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         self._controller.reset()
         self._problem, self._begin, self._new_target, self._last = "", None, None, None
         self._stamp, self._sent = -1, self._still
         self._gate.reset()
         self._failures.reset()
-        return self.answer(response, True, "the next walk starts from the current posture, without a target")
+        return True, "the next walk starts from the current posture, without a target"
 
     def _condition(self) -> tuple[str, str, dict[str, object]]:
         values: dict[str, object] = {
