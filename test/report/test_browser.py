@@ -158,4 +158,6 @@ def test_a_report_replays_offline(path, tmp_path):
         before = page.inner_text("#clock")
         page.get_by_role("button", name="Play").click()
         page.wait_for_function(f"document.getElementById('clock').textContent !== '{before}'")
+        page.set_viewport_size({"width": 360, "height": 800})  # a telephone: only wide tables scroll sideways
+        assert page.evaluate("document.documentElement.scrollWidth") == 360
         assert page.errors == []
