@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import socket
 import time
@@ -181,10 +182,21 @@ def test_panels_list_every_margin(trace):
         text = margins_html(view, history)
         assert text.count("TIGHTEST") == 1
         assert "nan" not in text
-        assert "nan" not in status_html(view, steps=1, total=2, note="")
+        assert "nan" not in status_html(view, total=2, note="")
     for name in ("sliding", "tip_plane", "back_plane", "com_cylinder", "pelvis", "joint_min", "joint_max"):
         assert f'data-curve="{name}"' in text
     assert len(history.marks) == 4
+
+
+def test_the_panel_says_which_phase_it_is_and_what_happens_in_it(trace):
+    _, view = next(views(trace, 60))
+    moment = view.moment
+    assert (text := status_html(view, total=4, note="")).count("1 of 4") == 1
+    assert "the CoM moves over the left foot" in text
+    standing = dataclasses.replace(moment.phase, name="stance/left", kind=PhaseKind.STANCE)
+    text = status_html(dataclasses.replace(view, moment=dataclasses.replace(moment, phase=standing)), total=0, note="")
+    assert "the CoM stays between the feet" in text
+    assert " of " not in text
 
 
 def test_the_history_is_bounded_and_covers_the_whole_walk(trace):

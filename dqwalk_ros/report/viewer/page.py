@@ -101,7 +101,7 @@ class Page:
         )
         self.history = History()
         self.shown = 0
-        self.total_steps = 0
+        self.phases = 0
         self._drawing: _Drawing | None = None
         self._way: deque[Array] = deque(maxlen=6000)
         self._pictures: deque[float] = deque(maxlen=60)
@@ -180,7 +180,7 @@ class Page:
         """Set the robot to be shown; with an opacity below 1 its interior is visible."""
         if self._drawing is not None:
             self.server.scene.remove_by_name("/robot")
-        self.total_steps = walk_type(scene.config).phases(scene.config) // 2
+        self.phases = walk_type(scene.config).phases(scene.config)
         self._drawing = _Drawing(self.server, scene, opacity)
 
     def replay_of(self, history: History, prints: Iterator[tuple[int, Foot, Array]]) -> None:
@@ -232,11 +232,8 @@ class Page:
         drawing.add_footprint(view.moment.index, foot, view.soles[foot])
 
     def _show_text(self, view: View) -> None:
-        steps = (view.moment.index + 1) // 2
-        if view.moment.label == "finished":
-            steps = self.total_steps or steps + 1
         note = f"{self.rate:.0f} frames per second"
-        self._status.content = status_html(view, steps=steps, total=self.total_steps, note=note)
+        self._status.content = status_html(view, total=self.phases, note=note)
         self._margins.content = margins_html(view, self.history)
 
     def close(self) -> None:

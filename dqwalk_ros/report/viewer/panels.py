@@ -6,6 +6,7 @@ from html import escape
 
 import numpy as np
 
+from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.report.colors import GREEN, INK, MUTED, ORANGE, RED, TIGHT, hexed
 from dqwalk_ros.report.scene import Gauge, View, tightest
 
@@ -121,24 +122,27 @@ def _curve(name: str, color: str, history: History, span: tuple[float, float], n
     )
 
 
+_DOING = {
+    PhaseKind.DOUBLE_SUPPORT: "the CoM moves over the {} foot",
+    PhaseKind.SINGLE_SUPPORT: "support on the {} foot, the other swings",
+    PhaseKind.STANCE: "the CoM stays between the feet",
+}
 _LEVEL = {"OK": hexed(GREEN), "WARN": hexed(TIGHT), "ERROR": hexed(RED)}
 
 
-def status_html(view: View, *, steps: int, total: int, note: str) -> str:
-    """Return phase, time, steps, level and solver of a view."""
+def status_html(view: View, *, total: int, note: str) -> str:
+    """Return phase, its number of the `total` (0: not known), time, level and solver of a view."""
     moment = view.moment
-    kind, _, foot = moment.phase.name.partition("/")
-    base = moment.phase.base.value
-    double = kind.startswith("double")
-    doing = f"the CoM moves over the {foot} foot" if double else f"support on the {foot} foot, the other swings"
-    title = escape(kind.replace("_", " "))
+    phase = moment.phase
+    doing = _DOING[phase.kind].format(phase.support.value)
+    title = escape(phase.name.partition("/")[0].replace("_", " "))
     over = moment.label if moment.label in ("finished", "failed", "paused", "idle") else ""
     badge = _LEVEL[view.level]
-    step = f"{steps} of {total}" if total else str(steps)
+    number = f"{moment.index + 1}{f' of {total}' if total else ''}"
     solver = escape(moment.solver) or "not recorded"
     rows = [
         ("time", f"{moment.time:.2f} s"),
-        ("step", step),
+        ("phase", number),
         ("task error", f"{view.error:.5f}"),
         ("solver", solver),
         ("page", escape(note)),
@@ -154,6 +158,6 @@ def status_html(view: View, *, steps: int, total: int, note: str) -> str:
         f'<span style="font-size:17px;font-weight:700">{title}{": " + over if over else ""}</span>'
         f'<span style="background:{badge};color:white;border-radius:9px;padding:1px 9px;font-weight:700;'
         f'font-size:12px">{escape(view.level)}</span></div>'
-        f'<div style="color:{_MUTED};margin-bottom:6px">{escape(doing)} (world: {base} sole)</div>'
+        f'<div style="color:{_MUTED};margin-bottom:6px">{escape(doing)} (world: {phase.base.value} sole)</div>'
         f'<table style="border-spacing:0">{cells}</table></div>'
     )
