@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
-from inside import state, subscribed, until
+from inside import state, subscribe, until
 from nav_msgs.msg import Odometry as OdometryMessage
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
@@ -68,23 +68,19 @@ def test_a_gripper_on_joint_states_does_not_stop_the_walk(make: Any, with_imu: b
     """Partial publishers are common practice: hands, heads, joint_state_publisher. A state may precede its imu."""
     one = make("controller", PAPER.updated({"plant.imu": with_imu, "plant.lockstep": with_imu}))
     upright = Inertial(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([0.0, 0.0, 9.81]))
-    gripper = Node("gripper", context=one.context)
+    gripper = one.beside("gripper")
     gripper.create_publisher(type(state(NAMES, ZERO, 0.0)), "joint_states", 1)
-    plant = Node("plant", context=one.context)
+    plant = one.beside("plant")
     plant.create_publisher(type(state(NAMES, ZERO, 0.0)), "joint_states", 1)
     until(lambda: len(ros.publishers_of(one.node, "joint_states")) == 2)
-    try:
-        for batch in range(4):
-            for k in range(50):
-                at = 1.0 + (50 * batch + k) * DT
-                one.send("joint_states", state(NAMES, ZERO, at))
-                if with_imu:
-                    one.send("imu", ros.imu(round(1e9 * at), "", upright))
-                one.send("joint_states", state(["finger"], [0.1], at))
-            one.tick()
-    finally:
-        gripper.destroy_node()
-        plant.destroy_node()
+    for batch in range(4):
+        for k in range(50):
+            at = 1.0 + (50 * batch + k) * DT
+            one.send("joint_states", state(NAMES, ZERO, at))
+            if with_imu:
+                one.send("imu", ros.imu(round(1e9 * at), "", upright))
+            one.send("joint_states", state(["finger"], [0.1], at))
+        one.tick()
     assert len(one.got["joint_velocity_commands"]) >= 200
     assert "two plants" not in one.log
     assert "rejected" not in one.log
@@ -140,16 +136,11 @@ def test_the_topic_phase_holds_only_the_current_phase(make: Any) -> None:
 
 def test_topics_that_steer_the_walk_are_recorded(make: Any, tmp_path: Path) -> None:
     one = make("recorder", PAPER, "--bag", str(tmp_path / "bag"))
-    pilot = Node("pilot", context=one.context)
-    twists = pilot.create_publisher(Twist, "cmd_vel", 1)
-    try:
-        until(lambda: one.node._discover() or "cmd_vel" in one.node._others)
-        assert one.node._others["cmd_vel"].type == "geometry_msgs/msg/Twist"
-        assert "/rosout" in one.node._others
-    finally:
-        twists.destroy()
-        pilot.destroy_node()
-        one.node.close()
+    one.beside("pilot").create_publisher(Twist, "cmd_vel", 1)
+    until(lambda: one.node._discover() or "cmd_vel" in one.node._others)
+    assert one.node._others["cmd_vel"].type == "geometry_msgs/msg/Twist"
+    assert "/rosout" in one.node._others
+    one.node.close()
 
 
 # ---------------------------------------------------------------------- parameters
@@ -269,12 +260,9 @@ def test_frames_are_one_tree_with_those_of_the_urdf(make: Any, tf: Any, tmp_path
     """A robot_state_publisher publishes the joints of the URDF; no frame may have two parents."""
     one = make("controller", PAPER.updated({"robot.urdf": with_links(tmp_path, added), "node.autostart": False}))
     model = one.node._model
-    listener = subscribed(one, "/odom", OdometryMessage)
+    subscribe(one, "/odom", OdometryMessage)
     q = np.clip(0.1 * np.random.default_rng(2).normal(size=model.n), model.q_min, model.q_max)
-    try:
-        one.send("joint_states", state(model.joint_names, q, 1.0))
-    finally:
-        listener.destroy_node()
+    one.send("joint_states", state(model.joint_names, q, 1.0))
     kin = Kinematics(model, q, Foot.RIGHT)  # the base of the first phase, double_support/left
     pose = {name: DQ(kin.pose(name)) for name in model.frames}
     edges = [
@@ -329,13 +317,10 @@ def odometry(make: Any, urdf: str, frame: str, *, with_sensor: bool) -> tuple[li
     config = (overlaid(load("poppy"), "physics") if with_sensor else load("poppy")).updated({"robot.urdf": urdf})
     changes = {"odometry.base_frame": frame, "odometry.window": 0.005}
     one = make("controller", config.updated(changes))
-    listener = subscribed(one, "/odom", OdometryMessage)
+    subscribe(one, "/odom", OdometryMessage)
     plant = make_plant("physics" if with_sensor else "integrator", config, one.node._model)
-    try:
-        for k in range(200):
-            one.exchange(plant, one.node._model, 1.0 + k * config.dt)
-    finally:
-        listener.destroy_node()
+    for k in range(200):
+        one.exchange(plant, one.node._model, 1.0 + k * config.dt)
     fields = [(m.pose.pose.position, m.pose.pose.orientation, m.twist.twist) for m in one.got["odom"]]
     x = [DQ.from_pose([p.x, p.y, p.z], [r.w, r.x, r.y, r.z]) for p, r, _ in fields]
     twist = [[getattr(v, axis) for v in (t.linear, t.angular) for axis in "xyz"] for *_, t in fields]
@@ -382,13 +367,10 @@ def test_odom_that_is_a_link_is_reported(make: Any, tf: Any, tmp_path: Path) -> 
 def test_odometry_has_pose_velocity_and_covariance(make: Any) -> None:
     one = make("controller", load("poppy"))
     model = one.node._model
-    listener = subscribed(one, "/odom", OdometryMessage)
+    subscribe(one, "/odom", OdometryMessage)
     plant = make_plant("integrator", one.node.config, model)
-    try:
-        for k in range(700):  # through the first step
-            one.exchange(plant, model, 1.0 + k * one.node.config.dt)
-    finally:
-        listener.destroy_node()
+    for k in range(700):  # through the first step
+        one.exchange(plant, model, 1.0 + k * one.node.config.dt)
     odom = one.got["odom"]
     assert {(m.header.frame_id, m.child_frame_id) for m in odom} == {("odom", "base_link")}
     place = np.array([[m.pose.pose.position.x, m.pose.pose.position.y, m.pose.pose.position.z] for m in odom])
@@ -405,15 +387,12 @@ def test_odometry_does_not_jump_when_a_walk_restarts(make: Any) -> None:
     quick = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4}
     one = make("controller", load("poppy").updated(quick))
     model, dt = one.node._model, one.node.config.dt
-    listener = subscribed(one, "/odom", OdometryMessage)
+    subscribe(one, "/odom", OdometryMessage)
     plant = make_plant("integrator", one.node.config, model)
-    try:
-        for k in range(250):
-            if k == 190:  # after the first step
-                one.call("~/reset".removeprefix("~"), Trigger.Request())
-            one.exchange(plant, model, 1.0 + k * dt)
-    finally:
-        listener.destroy_node()
+    for k in range(250):
+        if k == 190:  # after the first step
+            one.call("~/reset".removeprefix("~"), Trigger.Request())
+        one.exchange(plant, model, 1.0 + k * dt)
     place = np.array([[m.pose.pose.position.x, m.pose.pose.position.y] for m in one.got["odom"]])
     assert np.linalg.norm(place[189] - place[0]) > 0.01
     assert np.abs(np.diff(place, axis=0)).max() < 2e-3
@@ -497,20 +476,17 @@ def test_quality_of_service_can_be_overridden(make: Any) -> None:
 def test_a_walk_waits_until_everything_that_accompanies_it_is_recorded(make: Any) -> None:
     """The recorder discovers odom and /tf, which not every robot has, later than the topics of the walk."""
     one = make("controller", PAPER.updated({"node.wait_for_recorder": True}))
-    recorder = Node("recorder", context=one.context)
+    recorder = one.beside("recorder")
     late = [end for end in one.node.publishers if end.topic_name in ("/odom", "/tf", "/tf_static", "/footstep_status")]
     own = {"/parameter_events", "/phase", "/rosout"}
     walk = [end for end in one.node.publishers if end not in late and end.topic_name not in own]
     assert late
-    try:
-        for ends in (walk, late):
-            assert not one.node.is_recorded()
-            for end in ends:
-                recorder.create_subscription(end.msg_type, end.topic_name, lambda _: None, 10)
-            until(lambda ends=ends: all(ros.is_heard_by(one.node, end, "recorder") for end in ends))
-        assert one.node.is_recorded()
-    finally:
-        recorder.destroy_node()
+    for ends in (walk, late):
+        assert not one.node.is_recorded()
+        for end in ends:
+            recorder.create_subscription(end.msg_type, end.topic_name, lambda _: None, 10)
+        until(lambda ends=ends: all(ros.is_heard_by(one.node, end, "recorder") for end in ends))
+    assert one.node.is_recorded()
 
 
 def test_a_real_time_plant_waits_for_the_recorder(make: Any) -> None:
@@ -519,13 +495,10 @@ def test_a_real_time_plant_waits_for_the_recorder(make: Any) -> None:
     (period, *_) = [t for t in one.node.timers if t.timer_period_ns == round(DT * 1e9)]
     period.callback()
     assert not one.got["joint_states"]
-    recorder = Node("recorder", context=one.context)
+    recorder = one.beside("recorder")
     for kind, topic in ((JointState, "joint_states"), (String, "plant_warning"), (DiagnosticArray, "/diagnostics")):
         recorder.create_subscription(kind, topic, lambda _: None, 10)
-    try:
-        until(lambda: period.callback() or one.got["joint_states"])
-    finally:
-        recorder.destroy_node()
+    until(lambda: period.callback() or one.got["joint_states"])
     assert one.got["joint_states"]
 
 

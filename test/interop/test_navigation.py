@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import Twist
-from inside import subscribed
+from inside import subscribe
 from nav_msgs.msg import Odometry
 
 from dqwalk_ros.config import find_share, load, overlaid
@@ -121,43 +121,40 @@ def drive(
     config = replace(config, sensors=sensors).updated({"servo.assumed_velocity_filter": sensors.velocity_filter})
     model, obstacles = load_model(config.robot), np.zeros((0, 2)) if obstacles is None else obstacles
     controller, plant = make("controller", config), make_plant("physics", config, model)
-    listener = subscribed(controller, "/odom", Odometry)
+    subscribe(controller, "/odom", Odometry)
     begin, left, out = None, [np.array(goal) for goal in goals], []
     tick, least, way = 0, 9.9, None
-    try:
-        while left:
-            controller.exchange(plant, model, 1.0 + tick * config.dt)
-            controller.got["joint_velocity_commands"].clear()
-            assert not plant.fallen, (tick * config.dt, out)
-            tick += 1
-            if not controller.got["odom"]:
-                continue
-            msg = controller.got["odom"].pop().pose.pose
-            p, r = msg.position, msg.orientation
-            here, truth = (
-                on_plane(DQ.from_pose([p.x, p.y, 0.0], [r.w, r.x, r.y, r.z])),
-                on_plane(DQ(plant.truth.pelvis)),
+    while left:
+        controller.exchange(plant, model, 1.0 + tick * config.dt)
+        controller.got["joint_velocity_commands"].clear()
+        assert not plant.fallen, (tick * config.dt, out)
+        tick += 1
+        if not controller.got["odom"]:
+            continue
+        msg = controller.got["odom"].pop().pose.pose
+        p, r = msg.position, msg.orientation
+        here, truth = (
+            on_plane(DQ.from_pose([p.x, p.y, 0.0], [r.w, r.x, r.y, r.z])),
+            on_plane(DQ(plant.truth.pelvis)),
+        )
+        begin = truth * here.conj() if begin is None else begin  # where odom is
+        at = (begin.conj() * truth).translation()[:2]
+        place, R = here.translation()[:2], here.rotation_matrix()
+        least = min([least, *(np.linalg.norm(obstacles - at, axis=1) - OBSTACLE)])
+        way = path(place, left[0], obstacles) if way is None else way
+        to_go = float(np.linalg.norm(left[0] - place))
+        if tick % 20 == 0:
+            nearest = int(np.argmin(np.linalg.norm(way - place, axis=1)))
+            ahead = way[min(nearest + round(_LOOK / _CELL), len(way) - 1)] - place
+            controller.send("cmd_vel", client.velocity(math.atan2(R[1, 0], R[0, 0]), ahead, to_go))
+        if to_go < client.near:
+            out.append((float(np.linalg.norm(at - left.pop(0))), float(least)))
+            way, least = None, 9.9
+            print(
+                f"{tick * config.dt:.0f} s: goal {len(out)}, true distance {1e3 * out[-1][0]:.0f} mm, "
+                f"obstacles at {out[-1][1]:.2f} m or more"
             )
-            begin = truth * here.conj() if begin is None else begin  # where odom is
-            at = (begin.conj() * truth).translation()[:2]
-            place, R = here.translation()[:2], here.rotation_matrix()
-            least = min([least, *(np.linalg.norm(obstacles - at, axis=1) - OBSTACLE)])
-            way = path(place, left[0], obstacles) if way is None else way
-            to_go = float(np.linalg.norm(left[0] - place))
-            if tick % 20 == 0:
-                nearest = int(np.argmin(np.linalg.norm(way - place, axis=1)))
-                ahead = way[min(nearest + round(_LOOK / _CELL), len(way) - 1)] - place
-                controller.send("cmd_vel", client.velocity(math.atan2(R[1, 0], R[0, 0]), ahead, to_go))
-            if to_go < client.near:
-                out.append((float(np.linalg.norm(at - left.pop(0))), float(least)))
-                way, least = None, 9.9
-                print(
-                    f"{tick * config.dt:.0f} s: goal {len(out)}, true distance {1e3 * out[-1][0]:.0f} mm, "
-                    f"obstacles at {out[-1][1]:.2f} m or more"
-                )
-            assert tick * config.dt < 400.0 * len(goals), (place, left)
-    finally:
-        listener.destroy_node()
+        assert tick * config.dt < 400.0 * len(goals), (place, left)
     return out
 
 

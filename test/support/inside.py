@@ -128,6 +128,7 @@ class Inside:
 
         self._domain = domain
         self._foreign: list[tuple[Context, Node]] = []
+        self._beside: list[Node] = []
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
         arguments = ["--ros-args", "--params-file", str(params), *ros]
@@ -183,6 +184,11 @@ class Inside:
         (found,) = (s for s in self.node.services if s.srv_name.endswith(service))
         return found.callback(request, found.srv_type.Response())
 
+    def beside(self, name: str) -> Node:
+        """Return another node in its ROS context; `close` destroys it."""
+        self._beside.append(Node(name, context=self.context))
+        return self._beside[-1]
+
     def foreign_node(self, name: str) -> Node:
         """Return a node in another ROS context of the same domain; `close` ends it."""
         context = Context()
@@ -191,8 +197,9 @@ class Inside:
         return self._foreign[-1][1]
 
     def close(self) -> None:
-        """Destroy the node and shut its contexts down."""
-        self.node.destroy_node()
+        """Destroy the nodes and shut their contexts down."""
+        for node in (*self._beside, self.node):
+            node.destroy_node()
         for context in (*(context for context, _ in self._foreign), self.context):
             context.try_shutdown()
 
@@ -219,10 +226,8 @@ def values(status: Any) -> Mapping[str, str]:
     return {pair.key: pair.value for pair in status.values}
 
 
-def subscribed(one: Any, topic: str, kind: Any) -> Any:
-    """Subscribe to a topic and wait until the publisher is connected."""
-    listener = Node("listener", context=one.context)
-    listener.create_subscription(kind, topic, lambda _: None, 10)
+def subscribe(one: Inside, topic: str, kind: Any) -> None:
+    """Subscribe to a topic of a node, and wait until the publisher is connected."""
+    one.beside("listener").create_subscription(kind, topic, lambda _: None, 10)
     (offered,) = (p for p in one.node.publishers if p.topic_name == topic)
     until(offered.get_subscription_count)
-    return listener
