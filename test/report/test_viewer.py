@@ -193,7 +193,7 @@ def test_the_panel_says_which_phase_it_is_and_what_happens_in_it(trace):
     moment = view.moment
     assert (text := status_html(view, total=4, note="")).count("1 of 4") == 1
     assert "the CoM moves over the left foot" in text
-    standing = dataclasses.replace(moment.phase, name="stance/left", kind=PhaseKind.STANCE)
+    standing = dataclasses.replace(moment.phase, kind=PhaseKind.STANCE)
     text = status_html(dataclasses.replace(view, moment=dataclasses.replace(moment, phase=standing)), total=0, note="")
     assert "the CoM stays between the feet" in text
     assert " of " not in text
