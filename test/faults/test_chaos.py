@@ -48,8 +48,9 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chaos]:
 
 @pytest.fixture(autouse=True)
 def _nodes_still_run(walk: Chaos, request: pytest.FixtureRequest) -> Iterator[None]:
-    """Check that the node processes are still running; `test_signals` ends them."""
+    """Relay messages unchanged again, and check that the node processes still run; `test_signals` ends them."""
     yield
+    walk.on_states = walk.on_commands = chaos.passing
     if not request.node.originalname.startswith("test_signals"):
         dead = {name: walk.processes.exit_code(name) for name in NODES}
         assert dead == dict.fromkeys(NODES), walk.logs()
@@ -58,31 +59,21 @@ def _nodes_still_run(walk: Chaos, request: pytest.FixtureRequest) -> Iterator[No
 # ---------------------------------------------------------------------- the network
 
 
+HARMLESS = {
+    "30 % of the {} are lost": (chaos.dropping(0.3), "none needed"),
+    "{} arrive in swapped pairs": (chaos.reordering(), "the older one is ignored"),
+    "{} arrive twice": (chaos.duplicating, "the second is ignored"),
+}
+
+
 @pytest.mark.parametrize("way", ["states", "commands"])
-def test_lost_messages(walk: Chaos, way: str) -> None:
-    setattr(walk, f"on_{way}", chaos.dropping(0.3))
+@pytest.mark.parametrize("fault", HARMLESS)
+def test_messages_that_are_lost_swapped_or_doubled(walk: Chaos, fault: str, way: str) -> None:
+    policy, reaction = HARMLESS[fault]
+    setattr(walk, f"on_{way}", policy)
     walk.spin(1.5)
     walk.until_walking(BUSY)
-    setattr(walk, f"on_{way}", chaos.passing)
-    row(f"30 % of the {way} are lost", "none needed", None, UNDISTURBED)
-
-
-@pytest.mark.parametrize("way", ["states", "commands"])
-def test_reordered_messages(walk: Chaos, way: str) -> None:
-    setattr(walk, f"on_{way}", chaos.reordering())
-    walk.spin(1.5)
-    walk.until_walking(BUSY)
-    setattr(walk, f"on_{way}", chaos.passing)
-    row(f"{way} arrive in swapped pairs", "the older one is ignored", None, UNDISTURBED)
-
-
-@pytest.mark.parametrize("way", ["states", "commands"])
-def test_duplicated_messages(walk: Chaos, way: str) -> None:
-    setattr(walk, f"on_{way}", chaos.duplicating)
-    walk.spin(1.0)
-    walk.until_walking(BUSY)
-    setattr(walk, f"on_{way}", chaos.passing)
-    row(f"{way} arrive twice", "the second is ignored", None, UNDISTURBED)
+    row(fault.format(way), reaction, None, UNDISTURBED)
 
 
 @pytest.mark.parametrize("way", ["states", "commands"])
@@ -182,7 +173,6 @@ def test_one_corrupted_state_in_ten(walk: Chaos) -> None:
     walk.on_states = lambda msg: bad(msg) if next(count) % 10 == 0 else chaos.passing(msg)
     walk.spin(1.5)
     walk.until_walking(BUSY)
-    walk.on_states = chaos.passing
     row("one state in ten has a NaN", "rejected; no timeout", None, UNDISTURBED)
 
 
@@ -210,7 +200,6 @@ def test_joints_in_another_order_and_additional_ones(walk: Chaos) -> None:
     walk.on_states = chaos.changing(change)
     walk.spin(1.0)
     walk.until_walking(BUSY)
-    walk.on_states = chaos.passing
     row("joints in another order, and an additional one", "matched by name", None, UNDISTURBED)
 
 
@@ -223,7 +212,6 @@ def test_states_without_velocities(walk: Chaos, change: Callable[[JointState], N
     walk.on_states = chaos.changing(change)
     walk.spin(1.0)
     walk.until_walking(BUSY)
-    walk.on_states = chaos.passing
     row("states without velocities, or with NaN", "none needed", None, UNDISTURBED)
 
 
