@@ -9,7 +9,7 @@ import enum
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
@@ -166,6 +166,12 @@ class Phase:
         kin = Kinematics(self.model, self.q_start, self.base)
         stacked = self.tasks, self.equalities, self.inequalities, self.limits
         return Assembly(kin, *stacked, eta=self.eta, damping=self.damping)
+
+    def again(self, kin: Kinematics, swing_target: Array | None, rule: Rule) -> Phase:
+        """Return the phase with the same tasks and constraints, whose targets the walk sets, that begins at `kin`."""
+        phase = replace(self, q_start=kin.q, swing_target=swing_target, rule=rule, decision="")
+        phase.assembly = self.assembly
+        return phase
 
     def evaluate(
         self,

@@ -162,11 +162,11 @@ class Footsteps:
         body = Footprint(complex(length, side) - self._place[support], cmath.rect(1.0, turn))
         return body.then(Footprint(self._place[support.other]))
 
-    def step_to(self, support: Foot, footprint: Array) -> Array:
-        """Return length, side [m] and turn [rad] of the `stride` to a footprint (8,), shape (3,)."""
+    def step_to(self, support: Foot, footprint: Array) -> tuple[float, float, float]:
+        """Return length, side [m] and turn [rad] of the `stride` to a footprint (8,)."""
         to = Footprint.of(footprint)
         moved = to.place - to.ahead * self._place[support.other] + self._place[support]
-        return np.array([moved.real, moved.imag, cmath.phase(to.ahead)])
+        return moved.real, moved.imag, cmath.phase(to.ahead)
 
     def planned(self, support: Foot, wanted: Sequence[Array]) -> list[Array]:
         """Return the reachable footprints (8,) nearest to commanded ones, each in the frame of its support sole.

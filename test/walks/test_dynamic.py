@@ -740,6 +740,21 @@ def test_sequence_of_phases() -> None:
     assert len(names) == DynamicWalk.phases(walk.config)
 
 
+@pytest.mark.parametrize("kind", PhaseKind)
+def test_a_phase_is_that_of_a_new_walk_and_assembled_once_for_each_kind_and_foot(kind: PhaseKind) -> None:
+    q, walk, new = MODEL.posture(CONFIG.standing.posture), prepared(CONFIG), prepared(CONFIG)
+    later = q + 0.02 * np.sin(np.arange(MODEL.n))
+    steps = [walk.footsteps.wanted(Foot.LEFT, length, 0.0, 0.0) for length in (0.05, 0.08)]
+    first = walk.phase(kind, Foot.LEFT, q, steps[0])
+    first.evaluate(q)
+    again, other = (one.phase(kind, Foot.LEFT, later, steps[1]) for one in (walk, new))
+    assert again.assembly is first.assembly
+    assert again.q_start is not first.q_start
+    expected, found = other.evaluate(q, elapsed=0.0), again.evaluate(q, elapsed=0.0)
+    np.testing.assert_array_equal(found.values, expected.values)
+    np.testing.assert_array_equal(found.problem.numbers, expected.problem.numbers)
+
+
 def test_a_steered_walk_ramps_its_steps_and_stops_with_feet_together() -> None:
     walk = DynamicWalk(CONFIG.updated({"gait.steps": 0}), MODEL)
     stance = walk.phase(PhaseKind.STANCE, Foot.LEFT, walk.posture)

@@ -48,6 +48,11 @@ class Steps(DynamicWalk):
             return Next(PhaseKind.SINGLE_SUPPORT, phase.support, target)
         return Next(PhaseKind.STANCE if self._caught else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
 
+    def tune(self, config: Config) -> None:
+        """Replace the parameters from the next phase on."""
+        self.config = self.footsteps.config = config
+        self._phases.clear()
+
     @property
     def _is_idle(self) -> bool:
         """Whether a stance continues: never, because then the interrupted walk does."""
@@ -110,7 +115,7 @@ class RecoveringWalk(StandingWalk):
     def tune(self, config: Config) -> None:
         """Replace the parameters from the next phase on, for the steps those that they share with this walk."""
         super().tune(config)
-        self.steps.config = self.steps.footsteps.config = _with_steps(config, self.steps.config)
+        self.steps.tune(_with_steps(config, self.steps.config))
 
     def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
         """Let the steps take over from a single support in which xi is beyond the sole."""

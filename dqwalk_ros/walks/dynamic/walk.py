@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -60,7 +61,9 @@ _TIPPED = math.radians(1.0)
 """Inclination against the ground above which a sole has been tipped, by a push or a stone, and not by noise [rad]."""
 _STOPPED = 0.1
 """Part of the sole's length from which on a foot behind its path is stopped by an obstacle."""
-_ON_THE_SPOT = 4
+_ON_THE_SPOT = 0.0, 0.0, 0.0
+"""Length, side and turn of a step on the spot."""
+_WAITS = 4
 """Number of steps on the spot after an obstacle has stopped a foot, before the walk tries again."""
 _HIGHER = 0.002
 """Height over its planned landing from which on a foot that bears weight is on a step that is higher [m]."""
@@ -81,6 +84,8 @@ _ALONG = 0.9
 _SHIFT = 0.1
 """Part of the way between the soles by which the CoM is before their middle when a foot lands, and behind it when the
 other one lifts off."""
+_FOLLOWED = {"com": 2, "height": 1, "upright": 2}
+"""Number of coordinates of the targets that all phases have."""
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
 
@@ -128,7 +133,7 @@ class DynamicWalk(SteppingWalk):
                 f"lower dynamic.quicken ({config.dynamic.quicken:g} s) or dt, or raise standing.transfer_duration and "
                 "standing.swing_duration"
             )
-        self._step_now = np.zeros(3)  # length, side and turn of the current step
+        self._step_now: Sequence[float] = _ON_THE_SPOT  # length, side and turn of the current step
         self._resumes = 0  # step before which it steps on the spot
         self._onto: dict[Foot, list[Array]] = {}  # footprints onto what has stopped a foot, with ``gait.climb``
         self._mass = model.mass
@@ -153,9 +158,13 @@ class DynamicWalk(SteppingWalk):
         self._pushed = self._pausing = False
         self._rests = False  # whether a stance has brought the CoM to rest
         self._descends = False  # whether the swing foot of the next single support is in the air already
-        self._targets: dict[str, Target] = {}
+        pose = Target(np.zeros(7), np.zeros(6))
+        self._targets = {"swing": pose, **{name: Target(np.zeros(k), np.zeros(k)) for name, k in _FOLLOWED.items()}}
+        # the first one of each kind and support foot, from which others differ in the targets, which are the walk's
+        self._phases: dict[tuple[PhaseKind, Foot], Phase] = {}
+        self._held_at: Array  # place of the other sole when a phase on both feet began (7,)
         self._trunk_roll: AtRest | None = None
-        self._trunk_held = False
+        self._trunk_held: bool | None = None
         self._outwards = 0.0  # that of the step before this phase [m]
         self._soles: tuple[Any, ...]  # fields of `Soles`
         self._legs: Mask  # (n,), whether a joint is between the base sole and the pelvis
@@ -213,7 +222,7 @@ class DynamicWalk(SteppingWalk):
         self._done += 1
         if self._planned:
             return Next(PhaseKind.SINGLE_SUPPORT, phase.support, self._next_footprint(kin))
-        footprint, self._aimed = self.footsteps.wanted(phase.support, *self._step_now.tolist()), None
+        footprint, self._aimed = self.footsteps.wanted(phase.support, *self._step_now), None
         return Next(PhaseKind.SINGLE_SUPPORT, phase.support, footprint)
 
     def pause(self, wanted: bool) -> None:
@@ -238,7 +247,7 @@ class DynamicWalk(SteppingWalk):
         """Return 0: after an interruption a phase begins again immediately, because its reference has advanced."""
         return 0.0
 
-    def _after(self, step: Array, done: int, support: Foot) -> tuple[Array, bool]:
+    def _after(self, step: Sequence[float], done: int, support: Foot) -> tuple[Sequence[float], bool]:
         """Return the step on `support` after `step` and `done` steps, and whether a stance follows it."""
         ahead = done - self._done
         if ahead < len(self._planned):
@@ -247,18 +256,19 @@ class DynamicWalk(SteppingWalk):
         stopping, on_the_spot = self._stopping or self._pausing, done < self._resumes
         if gait.steps:
             ramp = min(ramp, (gait.steps - 1) // 2)
-            full = np.array([gait.step_length, gait.step_side, gait.step_turn])
-            most, ended = np.abs(full), stopping or done >= gait.steps
-            wanted = np.zeros(3) if on_the_spot or ended or done >= gait.steps - ramp else full
+            full = gait.step_length, gait.step_side, gait.step_turn
+            most, ended = [*map(abs, full)], stopping or done >= gait.steps
+            wanted = _ON_THE_SPOT if on_the_spot or ended or done >= gait.steps - ramp else full
         else:
-            most = np.array([gait.most_length, gait.most_side, gait.most_turn])
-            wanted = np.zeros(3) if stopping else np.array(self._step_at(self._twist))
-            ended = not wanted.any()
-            wanted = np.zeros(3) if on_the_spot else wanted
+            most = [gait.most_length, gait.most_side, gait.most_turn]
+            wanted = _ON_THE_SPOT if stopping else self._step_at(self._twist)
+            ended = not any(wanted)
+            wanted = _ON_THE_SPOT if on_the_spot else wanted
         # what no step may have, such as the turn that was left of a commanded footprint, ends at once
-        change = np.where(most > 0.0, most / (ramp + 1), np.inf)
-        new = step + np.minimum(np.maximum(wanted - step, -change), change)
-        return new, bool(ended and np.abs(new).max() < 1e-9)
+        changes = [part / (ramp + 1) if part > 0.0 else math.inf for part in most]
+        now = zip(step, wanted, changes, strict=True)
+        new = [was + min(max(to - was, -change), change) for was, to, change in now]
+        return new, ended and max(map(abs, new)) < 1e-9
 
     def _durations(self, length: float) -> tuple[float, float]:
         """Return the durations of double and single support [s] of a step of a length [m]: longer ones are quicker."""
@@ -284,50 +294,55 @@ class DynamicWalk(SteppingWalk):
 
     def both_feet(self, kind: PhaseKind, support: Foot, kin: Kinematics) -> Phase:
         """Return the phase that moves the CoM to the sole of `support`, or in a stance to the middle of both soles."""
-        goal = com_target(kind, kin)[:2]
         d, s = self.config.dynamic, self.config.standing
         stance = kind is PhaseKind.STANCE
         rule = Timed(d.stop_duration if stance else s.transfer_duration, lambda: stance and self._is_idle)
-        tasks = (self._com_task(goal), *self._held_upright())
-        return self._phase(
-            kind, support, kin, None, tasks, (self._held(kin),), (), rule=rule, joint_return=JOINT_RETURN
-        )
+        self._aim_over(com_target(kind, kin)[:2])
+        held = self._held(kin)
+        self._held_at = held.parameters.copy()
+        if (kind, support) not in self._phases:
+            given = (kind, support, kin, None, self._upright(), (held,), ())
+            self._phases[kind, support] = self._phase(*given, rule=rule, joint_return=JOINT_RETURN)
+        phase = self._phases[kind, support].again(kin, None, rule)
+        _hold(phase, self._held_at)
+        return phase
 
     def one_foot(self, support: Foot, kin: Kinematics, swing_target: Array) -> Phase:
         """Return the single support on the foot `support` in which the other foot moves to `swing_target` (8,)."""
         s, x = self.config.standing, DQ(swing_target)
         # here, so that a monitor, which has the phases only, knows it, too
         self._on_stairs |= bool(stair_height(float(x.translation()[2]), self.config))
-        task = FollowPose(
-            name="swing",
-            weight=s.swing_weight,
-            frame=kin.swing,
-            target=Target(np.array([*x.translation(), *swing_target[:4]]), np.zeros(6)),
-            eta=s.swing_rate,
-            lever=s.lever,
-        )
-        tasks = (task, self._com_task(self.model.soles[support].center[:2]), *self._held_upright())
-        kind, rule, rows = PhaseKind.SINGLE_SUPPORT, Timed(s.swing_duration), (self._gap(support),)
-        return self._phase(kind, support, kin, swing_target, tasks, (), rows, rule=rule, joint_return=JOINT_RETURN)
+        kind, rule, target = PhaseKind.SINGLE_SUPPORT, Timed(s.swing_duration), self._targets["swing"]
+        self._aim_over(self.model.soles[support].center[:2])
+        target.set(np.array([*x.translation(), *swing_target[:4]]), 0.0)
+        if (kind, support) not in self._phases:
+            given = {"weight": s.swing_weight, "eta": s.swing_rate, "lever": s.lever}
+            tasks = (FollowPose(name="swing", frame=kin.swing, target=target, **given), *self._upright())
+            rows = (), (self._gap(support),)
+            first = self._phase(kind, support, kin, swing_target, tasks, *rows, rule=rule, joint_return=JOINT_RETURN)
+            self._phases[kind, support] = first
+        return self._phases[kind, support].again(kin, swing_target, rule)
 
-    def _com_task(self, place: Array) -> Task:
-        d, target = self.config.dynamic, Target(place, np.zeros(2))
-        return Follow(name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=target, eta=d.com_rate)
+    def _aim_over(self, place: Array) -> None:
+        """Set the targets with which a phase begins: the CoM over a `place` (2,) [m], everything at rest."""
+        for name, value in (("com", place), ("height", self._height), ("upright", 0.0)):
+            self._targets[name].set(value, 0.0)
 
-    def _held_upright(self) -> tuple[Task, ...]:
-        """Return the tasks that keep the height of the CoM, the pelvis upright, and the trunk from turning against it.
+    def _upright(self) -> tuple[Task, ...]:
+        """Return the tasks of CoM and pelvis, and those that keep the trunk from turning against the pelvis.
 
         A trunk that rolls moves the CoM sideways with little motion of the legs. While a push outwards is caught, it
         would be thrown against the push and tip the sole further.
         """
-        d = self.config.dynamic
+        d, at = self.config.dynamic, self._targets
         tasks: list[Task] = [
+            Follow(name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=at["com"], eta=d.com_rate),
             Follow(
                 name="height",
                 weight=d.height_weight,
                 feature=CenterOfMass(),
                 selects=Z[None],
-                target=Target(np.array([self._height]), np.zeros(1)),
+                target=at["height"],
                 eta=d.height_rate,
             ),
             Follow(
@@ -335,7 +350,7 @@ class DynamicWalk(SteppingWalk):
                 weight=d.upright_weight,
                 feature=Direction(self.model.pelvis, Z),
                 selects=np.eye(2, 3),
-                target=Target(np.zeros(2), np.zeros(2)),
+                target=at["upright"],
                 eta=d.upright_rate,
             ),
         ]
@@ -418,10 +433,7 @@ class DynamicWalk(SteppingWalk):
         """
         if self._ground.inclination(up) < self._ground.inclination(least):
             self._tipped = least = up
-        for held in phase.equalities:
-            if isinstance(held, FrameHeld):
-                x = held.pose
-                held.hold(self._ground.tipped(least, 0.0, np.array([*DQ(x).translation(), *x[:4]])))
+        _hold(phase, self._ground.tipped(least, 0.0, self._held_at))
 
     @staticmethod
     def _share(phase: Phase, state: State) -> float:
@@ -500,7 +512,7 @@ class DynamicWalk(SteppingWalk):
             ahead, aside = (DQ(phase.swing_target).translation() - here)[:2].tolist()
             climbs = self._onto and state.loads is not None and self._aimed is None and ahead > abs(aside)
             self._planned, self._aimed = deque(self._onto[swings] if climbs else ()), None
-            self._step_now, self._resumes = np.zeros(3), self._done + _ON_THE_SPOT
+            self._step_now, self._resumes = _ON_THE_SPOT, self._done + _WAITS
             self._land_here(flight, phase, here)
         return stopped
 
@@ -538,9 +550,8 @@ class DynamicWalk(SteppingWalk):
         if changes:  # transform from the previous base sole
             self._ground.change_base(other)
             self._now.change_base(other)
-        self._targets = {task.name: task.target for task in phase.tasks if isinstance(task, Follow | FollowPose)}
         self._trunk_roll = next((task for task in phase.tasks if isinstance(task, AtRest)), None)
-        self._trunk_held = False
+        self._trunk_held = None  # as the last phase of this kind has left it
         landed = before is not None and before.kind is PhaseKind.SINGLE_SUPPORT and before.base is phase.base
         self._tipped = kin.up if landed and self._ground.inclination(kin.up) > _TIPPED else None
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
@@ -622,7 +633,7 @@ class DynamicWalk(SteppingWalk):
             if landing is None:
                 step, together = self._after(step, done, foot)
                 done += 1
-                landing = self.footsteps.stride(foot, *step.tolist())
+                landing = self.footsteps.stride(foot, *step)
             supports.append(self._support_on(foot, stands, step))
             foot, stands, landing = foot.other, stands.then(landing), None
             if together or len(supports) == _AHEAD:
@@ -630,17 +641,17 @@ class DynamicWalk(SteppingWalk):
         supports.append(self._support_on(foot, stands, step))
         return supports, single_supports(supports, self.pendulum.omega, ends=together)
 
-    def _support_on(self, foot: Foot, stands: Footprint, step: Array) -> Support:
+    def _support_on(self, foot: Foot, stands: Footprint, step: Sequence[float]) -> Support:
         """Return the support on `foot` at the pose `stands`, during which a step (3,) is taken."""
-        return Support(self._aim(foot, stands), self._roll(stands, step), *self._durations(float(step[0])))
+        return Support(self._aim(foot, stands), self._roll(stands, step), *self._durations(step[0]))
 
-    def _roll(self, stands: Footprint, step: Array) -> Array:
+    def _roll(self, stands: Footprint, step: Sequence[float]) -> Array:
         """Return by how much the pressure on a sole is ahead of its aim at the end of a step (3,), shape (2,) [m].
 
         It moves from the heel towards the toe, so that the reaction of the swing leg, first ahead and then back, and
         the motion of the CoM over the foot need less of the sole.
         """
-        ahead = self.config.dynamic.roll * float(step[0]) * stands.ahead
+        ahead = self.config.dynamic.roll * step[0] * stands.ahead
         return np.array([ahead.real, ahead.imag])
 
     def _aim(self, foot: Foot, stands: Footprint) -> Array:
@@ -661,6 +672,13 @@ class DynamicWalk(SteppingWalk):
         )  # fmt: skip
         self._commanded, self._u = state.time, u
         return tau
+
+
+def _hold(phase: Phase, place: Array) -> None:
+    """Hold the sole that a phase holds at another place (7,), position [m] and unit quaternion."""
+    for held in phase.equalities:
+        if isinstance(held, FrameHeld):
+            held.hold(place)
 
 
 def _trunk(kin: Kinematics) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
