@@ -6,7 +6,9 @@ and the likely unit.
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections import Counter
 
 import numpy as np
 
@@ -48,7 +50,7 @@ _GUESSED = 0.3
 """Radius of gyration assumed for a link with shapes, as a multiple of this distance."""
 _SMALLEST = 0.01
 """Least distance of the farthest corner of a link from its CoM [m]."""
-_DENSITY = 500.0
+_LEAST_DENSITY, _DENSITY, _LARGEST_DENSITY = 30.0, 500.0, 3000.0
 """Mass of a robot divided by the volume of the convex hulls of its links [kg/m^3]; 350 to 900 are usual."""
 
 
@@ -126,24 +128,42 @@ def check_density(urdf: Urdf, leg: float) -> None:
 
 
 def assume_masses(urdf: Urdf, shapes: Shapes) -> bool:
-    """Assume masses of the usual density within the convex hulls of the links if no link has one; return whether."""
+    """Assume masses of the usual density within the convex hulls of the links if theirs are unknown.
+
+    They are if no link has one, or if more than half of them have the same one and the robot would be lighter or denser
+    than any: the mass of a template. Return whether.
+    """
     import trimesh
 
-    if any(link.inertial.mass for link in urdf.links.values()):
+    known = [link.inertial.mass for link in urdf.links.values() if link.inertial.mass]
+    usual, count = Counter(known).most_common(1)[0] if known else (0.0, 0)
+    if 2 * count < len(known):
+        return False
+    solids = {}
+    for name in urdf.links:
+        for corners in shapes.hulls([name])[0].values():
+            with contextlib.suppress(Exception):  # a shape without volume; Qhull has its own exceptions
+                solids[name] = trimesh.convex.convex_hull(corners).mass_properties
+    volume = sum(float(solid.volume) for solid in solids.values())
+    if known and (not volume or _LEAST_DENSITY < sum(known) / volume < _LARGEST_DENSITY):
         return False
     for name, link in urdf.links.items():
-        for corners in shapes.hulls([name])[0].values():
-            try:
-                solid = trimesh.convex.convex_hull(corners).mass_properties
-            except Exception:  # a shape without volume; Qhull has its own exceptions
-                continue
-            part = link.inertial
+        part = link.inertial
+        part.mass, part.inertia = 0.0, np.zeros((3, 3))
+        if name in solids:
+            solid = solids[name]
             part.mass, part.inertia = _DENSITY * float(solid.volume), _DENSITY * np.asarray(solid.inertia)
             part.origin[:3, 3] = solid.center_mass
-    if mass := sum(link.inertial.mass for link in urdf.links.values()):
+    if volume:
+        why = "no link has a mass"
+        if known:
+            why = (
+                f"{count} of {len(known)} links have the mass {usual:g} kg, as in a template, and the robot would have "
+                f"{sum(known) / volume:.3g} kg/m^3"
+            )
         urdf.repairs.append(
-            f"no link has a mass: {_DENSITY:g} kg/m^3 within the convex hulls of their shapes are assumed, "
-            f"{mass:.3g} kg in all; weigh the robot and give --set robot.mass=KG"
+            f"{why}: {_DENSITY:g} kg/m^3 within the convex hulls of their shapes are assumed, "
+            f"{_DENSITY * volume:.3g} kg in all; weigh the robot and give --set robot.mass=KG"
         )
     return True
 

@@ -21,7 +21,7 @@ from dqwalk_ros.adopt import _mass_evidence, adopt, posture
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.description import description_in
-from dqwalk_ros.adopt.doubts import list_massless, repair_degrees, repair_inertias, use_led_joints
+from dqwalk_ros.adopt.doubts import assume_masses, list_massless, repair_degrees, repair_inertias, use_led_joints
 from dqwalk_ros.adopt.legs import axes_differ, bent, freedom, leg_of
 from dqwalk_ros.adopt.parameters import Numbers, servo_types
 from dqwalk_ros.adopt.picture import _bones
@@ -670,6 +670,20 @@ def test_a_robot_without_masses_has_those_of_the_volumes_of_its_links_and_can_be
     weighed = adopt(bare, tmp_path / "weighed", changes={"robot.mass": 2.0 * found.model.mass})
     assert weighed.numbers.mgh == pytest.approx(2.0 * found.numbers.mgh)
     assert weighed.model.mass == pytest.approx(2.0 * found.model.mass)
+
+
+@pytest.mark.parametrize("mass", [1.0, 0.2, 1e-4])
+def test_the_same_mass_in_all_links_is_that_of_a_template_where_no_robot_is_so_dense(mass: float) -> None:
+    urdf = Urdf.load(SMALL)
+    for link in urdf.links.values():
+        link.inertial.mass = mass if link.inertial.mass else 0.0
+    urdf.links[urdf.root].inertial.mass *= 2.0
+    before = sum(link.inertial.mass for link in urdf.links.values())
+    guessed, after = assume_masses(urdf, Shapes(urdf, SMALL)), sum(link.inertial.mass for link in urdf.links.values())
+    assert guessed == (mass != 0.2)
+    assert (after == before) == (not guessed)
+    assert [text for text in urdf.repairs if f"have the mass {mass:g} kg, as in a template" in text] == urdf.repairs
+    assert 0.2 < after < 10.0
 
 
 @pytest.mark.parametrize("part", [0.03, 0.2])
