@@ -376,7 +376,10 @@ def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str
 
 
 def _check_led(skeleton: Skeleton, *legs: tuple[str, ...]) -> None:
-    """Raise ModelError if a joint that carries a foot follows another joint of the legs: it would be locked."""
+    """Raise ModelError if a joint that carries a foot follows another joint of the legs, without which they cannot walk.
+
+    Both are locked: hips that yaw together, as NAO's, are not needed.
+    """
     urdf = skeleton.urdf
     both = [set(foot_links(skeleton, joints[-1])) for joints in legs]
     for joint in urdf.joints.values():
@@ -384,7 +387,7 @@ def _check_led(skeleton: Skeleton, *legs: tuple[str, ...]) -> None:
             continue
         leader = urdf.joints[joint.mimic.joint]
         moved = sorted([bool(foot & set(urdf.after(one.child))) for foot in both] for one in (joint, leader))
-        if moved == [[False, True], [True, False]]:
+        if moved == [[False, True], [True, False]] and not all(leg_of(*skeleton.lines(joints)) for joints in legs):
             raise ModelError(
                 f"'{joint.name}' of a leg mimics '{leader.name}' of the other leg: legs that bend together cannot walk"
             )

@@ -1164,6 +1164,15 @@ def test_what_people_do_to_a_robot_is_undone_or_named(
     assert any(repair in text for text in [*urdf.repairs, ""])
 
 
+def test_hips_that_yaw_together_are_locked(tmp_path: Path) -> None:
+    """As NAO's, which have one motor for both: the legs walk without this joint."""
+    yaw = r'(<joint name="r_hip_yaw".*?)(</joint>)'
+    urdf = read(tmp_path, (yaw, r'\1<mimic joint="l_hip_yaw"/>\2'))
+    found = find_anatomy(urdf, Shapes(urdf, SMALL))
+    assert [leg[0] for leg in found.legs.values()] == ["l_hip_roll", "r_hip_roll"]
+    assert (found.sideways, found.turns) == (True, False)
+
+
 @pytest.mark.long
 def test_the_weight_of_the_posture_against_lengths_is_that_of_a_smaller_robot(tmp_path: Path) -> None:
     """The error of the CoM is a length, the posture is angles: for half the size the ratio of their squares is 1/4."""
