@@ -168,9 +168,8 @@ def test_monitor_and_viewer_ignore_invalid_messages(make: Any) -> None:
         make("viewer", PAPER, "--port", "0"),
     )
     walk.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 1.0))
-    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
-        for node in (monitor, viewer):
-            node.send(topic, walk.got[topic][-1])
+    for node in (monitor, viewer):
+        node.follow(walk)
     for raw in GARBAGE:
         monitor.send("joint_states", raw)
     assert "joint_states rejected: a message of 1 bytes has no header" in monitor.log
@@ -197,9 +196,8 @@ def test_monitor_and_viewer_keep_the_phase_through_single_wrong_stamps(make: Any
     walk, monitor = make("controller", PAPER), make("phase_monitor", PAPER)
     viewer = make("viewer", PAPER, "--port", "0")
     walk.send("joint_states", state(MODEL.joint_names, np.zeros(MODEL.n), 5.0))
-    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
-        for one in (monitor, viewer):
-            one.send(topic, walk.got[topic][-1])
+    for one in (monitor, viewer):
+        one.follow(walk)
 
     def shown(stamp: float) -> bool:
         before, evaluated = viewer.node.page.shown, len(monitor.got["diagnostics"])

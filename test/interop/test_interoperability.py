@@ -537,8 +537,7 @@ def test_the_monitor_uses_the_measured_vertical(make: Any) -> None:
 def test_margins_of_the_monitor_are_along_the_measured_vertical(make: Any) -> None:
     walk, monitor = make("controller", PAPER), make("phase_monitor", PAPER)
     walk.send("joint_states", state(NAMES, ZERO, 1.0))
-    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
-        monitor.send(topic, walk.got[topic][-1])
+    monitor.follow(walk)
     margins = []
     for k, angle in enumerate((0.0, 0.04)):
         tilted = Inertial(np.array([np.cos(0.5 * angle), 0.0, np.sin(0.5 * angle), 0.0]), np.zeros(3), np.zeros(3))
@@ -558,8 +557,7 @@ def test_states_that_arrive_before_the_walk_is_known_are_judged(make: Any, locks
     walk.send("joint_states", state(NAMES, ZERO, 1.0))
     for k in range(10):
         monitor.send("joint_states", serialize_message(state(NAMES, ZERO, 1.0 + 0.2 * k)))
-    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
-        monitor.send(topic, walk.got[topic][-1])
+    monitor.follow(walk)
     monitor.node.close()
     assert [array.header.stamp.nanosec for array in monitor.got["diagnostics"]] == [
         round(1e9 * (0.2 * k % 1.0)) for k in range(10)
@@ -573,8 +571,7 @@ def test_states_are_judged_once_the_recorder_hears_it(make: Any, monkeypatch: py
     heard = iter([False] * 12)
     monkeypatch.setattr(monitor.node, "is_recorded", lambda: next(heard, True))
     walk.send("joint_states", state(NAMES, ZERO, 1.0))
-    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
-        monitor.send(topic, walk.got[topic][-1])
+    monitor.follow(walk)
     for k in range(10):
         monitor.send("joint_states", serialize_message(state(NAMES, ZERO, 1.0 + 0.2 * k)))
     assert not monitor.got["diagnostics"]
@@ -585,8 +582,7 @@ def test_states_are_judged_once_the_recorder_hears_it(make: Any, monkeypatch: py
 def test_a_monitor_says_that_it_is_not_recorded(make: Any) -> None:
     walk, monitor = make("controller", PAPER), make("phase_monitor", PAPER.updated({"node.wait_for_recorder": True}))
     walk.send("joint_states", state(NAMES, ZERO, 1.0))
-    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
-        monitor.send(topic, walk.got[topic][-1])
+    monitor.follow(walk)
     monitor.send("joint_states", serialize_message(state(NAMES, ZERO, 1.0)))
     monitor.node.close()
     assert "1 states are not judged: no recorder has subscribed to /diagnostics" in monitor.log
@@ -599,9 +595,8 @@ def test_monitor_and_viewer_ignore_the_states_of_a_gripper(make: Any, lockstep: 
     walk, monitor = make("controller", config), make("phase_monitor", config)
     viewer = make("viewer", config, "--port", "0")
     walk.send("joint_states", state(NAMES, ZERO, 1.0))
-    for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
-        for one in (monitor, viewer):
-            one.send(topic, walk.got[topic][-1])
+    for one in (monitor, viewer):
+        one.follow(walk)
     for k in range(100):
         other = (1e9 if lockstep else 0.9) + k * DT
         for msg in (state(NAMES, ZERO, 1.0 + k * DT), state(["finger"], [0.1], other)):

@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from recorded import part, repeated, short_walk
+from recorded import part, repeated
 
 from dqwalk_ros import KinematicPlant, load, load_model, make_controller, simulate
 from dqwalk_ros import report as reporting
@@ -19,11 +19,6 @@ from dqwalk_ros.report.figures import drawn, figure7, figure8, figure9, top_view
 from dqwalk_ros.report.table import numbers
 
 RED = "#d1242f"
-
-
-@pytest.fixture(scope="module")
-def trace():
-    return short_walk()
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
-from recorded import rewrite, short_walk
+from recorded import rewrite
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -18,18 +18,6 @@ from dqwalk_ros.report import bag
 from dqwalk_ros.report.bag import messages, storage
 from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.support.topics import FINISHED, OPTIONAL, TOPICS
-
-
-@pytest.fixture(scope="module")
-def trace():
-    return short_walk()
-
-
-@pytest.fixture(scope="module")
-def path(trace, tmp_path_factory):
-    path = tmp_path_factory.mktemp("bag") / "walk"
-    bag.write(trace, path)
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import PATIENCE, address, chromium, dark_share, picture, running
-from recorded import short_config, short_walk
+from recorded import short_config
 
 from dqwalk_ros import cli
 from dqwalk_ros.report import bag
@@ -23,13 +23,6 @@ SIZE = {"width": 1000, "height": 560}
 """Of the window: small, because without a graphics card the CPU renders every pixel."""
 MIDDLE = slice(350, 670)
 """Columns of the picture between the panels."""
-
-
-@pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    path = tmp_path_factory.mktemp("bag") / "walk"
-    bag.write(short_walk(), path)
-    return path
 
 
 def status(page) -> str:

@@ -36,13 +36,6 @@ def trace():
     return bag.read(RECORDED / "walk")
 
 
-@pytest.fixture(scope="module")
-def path(trace, tmp_path_factory):
-    path = tmp_path_factory.mktemp("bag") / "walk"
-    bag.write(trace, path)
-    return path
-
-
 def reported(bag_path, out, *options):
     """Return exit code and report of `dqwalk report`."""
     code = cli.main(["report", str(bag_path), "--no-figures", "--quiet", "--out", str(out), *options])

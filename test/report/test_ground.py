@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from recorded import rewrite, short_walk
+from recorded import rewrite
 
 from dqwalk_ros import report as reporting
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -17,11 +17,6 @@ from dqwalk_ros.report import bag
 from dqwalk_ros.report.ground import Circle, commanded_way, shortfall
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.trace import PhysicsRecord
-
-
-@pytest.fixture(scope="module")
-def trace():
-    return short_walk()
 
 
 def test_the_commanded_way_is_that_of_the_middle_between_the_soles(trace):

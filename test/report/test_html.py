@@ -28,13 +28,6 @@ from dqwalk_ros.report.scene import Moments, Scene, tightest
 from dqwalk_ros.report.table import numbers
 
 
-@pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    path = tmp_path_factory.mktemp("bag") / "short"
-    bag.write(short_walk(), path)
-    return path
-
-
 def simple(series):
     """A figure that is drawn in place of all others, because drawing dominates the time."""
     figure = new_figure(2.0, 1.0)

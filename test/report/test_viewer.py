@@ -18,7 +18,6 @@ import trimesh
 import viser
 import yourdfpy
 from msgspec import msgpack
-from recorded import short_walk
 from robots import DATA
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
@@ -36,11 +35,6 @@ from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
 from dqwalk_ros.report.viewer.player import Player
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ViewerError
-
-
-@pytest.fixture(scope="module")
-def trace():
-    return short_walk()
 
 
 @pytest.fixture(scope="module")

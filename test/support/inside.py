@@ -148,6 +148,11 @@ class Inside:
         for subscription in found:
             subscription.callback(msg)
 
+    def follow(self, walk: Inside) -> None:
+        """Pass on what a controller has published of its walk, robot and phase."""
+        for topic in ("walk_config", "robot_description", "phase", "phase_start", "com_target"):
+            self.send(topic, walk.got[topic][-1])
+
     def exchange(
         self, plant: Plant, model: RobotModel, stamp: float, q: Any = None, inertial: Inertial | None = None
     ) -> np.ndarray:
