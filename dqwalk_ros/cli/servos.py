@@ -61,10 +61,10 @@ def servos(robot: str, names: tuple[str, ...], quiet: bool, changes: tuple[str, 
     gait = Gait.of(config)
     print(
         f"{model.name}: {model.mass:.3g} kg, steps of {gait.duration:.3g} s and {1e3 * gait.height:.0f} mm height, "
-        f"{gait.speed:.3g} m/s\n"
+        f"{gait.speed:.3g} m/s; of each joint the largest speed [m/s] (--help explains the columns)\n"
     )
     joints = list(found[0].joints)
-    head = ["servo", "V", *joints, "all", "binds", "height", "slope", "push", "rms"]
+    head = ["servo", "V", *joints, "all", "binds", "height [mm]", "slope [deg]", "push [N s]", "rms"]
     print(aligned([_row(one) for one in found], head, right=[k for k in range(1, len(head)) if head[k] != "binds"]))
     return 0
 

@@ -30,7 +30,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.kinematic import KinematicPlant
-from dqwalk_ros.report.figures.studies import robustness_figure
+from dqwalk_ros.report.figures.studies import robustness_figure, study_figure
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.studies import loads, pushes, read, robustness, walk_all
 from dqwalk_ros.studies.bisection import largest
@@ -408,6 +408,18 @@ def test_robustness_as_built_varies_gain_and_seed():
     values = [{"servo.p_gain": 254.0, "sensors.seed": k} for k in range(3)]
     done = [(one, robustness.CellOutcome(True, 1.0, 3, "", 0.001 * k)) for k, one in enumerate(values)]
     assert "the largest of each walk: median 0.06, worst 0.11 degrees" in table(done, axes)
+
+
+@pytest.mark.parametrize("drops", [["abs_y"], ["abs_y", "head_y"]])
+def test_the_figure_of_a_study_shows_its_whole_legend(drops):
+    rows = [
+        {"x": x, "drop": drop, "finished": x < 3.0, "margin/paper": 0.01, "margin/true": -0.01}
+        for drop in drops
+        for x in (1.0, 2.0, 3.0)
+    ]
+    figure = study_figure(rows, ["x", "drop"], {"x": "m"})
+    figure.draw_without_rendering()
+    assert figure.bbox_inches.padded(0.01).count_contains(figure.get_tightbbox().corners()) == 4
 
 
 @pytest.mark.parametrize(

@@ -64,14 +64,14 @@ def study_figure(rows: Sequence[Mapping[str, Any]], names: Sequence[str], units:
             _draw_map(axis, x, more[0], done, failed, margins[0], (min(spread), max(spread) or 1.0))
         else:
             _draw_margins(axis, x, done, failed, margins)
-        axis.set(xlabel=_label(x, units), ylabel=_label(more[0], units) if more else "least margin of the CoM [mm]")
+        axis.set(xlabel=_label(x, units), ylabel=_label(more[0], units) if more else "smallest margin of the CoM [mm]")
         share = f"{len(done)} of {len(some)} finished"
         axis.set_title(f"{title}\n{share}" if title else share)
         axis.locator_params(axis="x", nbins=5)
         axis.label_outer()
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3 if len(panels) > 1 else 1)
     if more:
-        figure.colorbar(axes[0].collections[0], ax=list(axes), label=f"least margin {MARGINS[margins[0]][1]} [mm]")
+        figure.colorbar(axes[0].collections[0], ax=list(axes), label=f"smallest margin {MARGINS[margins[0]][1]} [mm]")
     return figure
 
 
