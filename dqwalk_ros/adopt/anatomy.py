@@ -29,9 +29,6 @@ from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["Anatomy", "distances", "find_anatomy"]
-
-
 _UNLIKE = 0.5
 """Largest difference of the limits of joints that mirror each other [rad]."""
 _OTHER_SERVO = 2.0

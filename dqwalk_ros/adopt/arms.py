@@ -11,9 +11,6 @@ import numpy as np
 from dqwalk_ros.adopt.skeleton import Skeleton
 from dqwalk_ros.paper.foot import Foot
 
-__all__ = ["find_hands", "find_imu"]
-
-
 _IMU = re.compile(r"(?<![a-z])(imu|gyro|accelerometer|ahrs|inertial)(?![a-z])", re.IGNORECASE)
 
 

@@ -25,9 +25,6 @@ from dqwalk_ros.walks.footsteps import Footsteps
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, make_walk
 
-__all__ = ["check", "require_usable"]
-
-
 _BELOW = 0.012
 """Largest distance of a foot below its sole [m]."""
 _LEVEL = math.radians(2.0)

@@ -10,9 +10,6 @@ import zipfile
 from dqwalk_ros.adopt.mjcf import is_mjcf
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["description_in"]
-
-
 _KINDS = ("*.urdf", "*.urdf.xacro", "*.xacro", "*.xml")
 """Names of robot descriptions, the most likely first; parts that others include are named like these as well."""
 _INCLUDED = re.compile(r"<(?:xacro:)?include\s[^>]*?file(?:name)?\s*=\s*[\"'][^\"']*?([^/\"']+)[\"']")

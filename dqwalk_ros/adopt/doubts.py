@@ -18,18 +18,6 @@ from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = [
-    "assume_masses",
-    "check_density",
-    "check_names",
-    "check_sizes",
-    "list_massless",
-    "repair_degrees",
-    "repair_inertias",
-    "use_led_joints",
-]
-
-
 _MEANT = set("=*?[")
 """Characters that have a meaning where a parameter names joints."""
 _LARGER, _SMALLER = 8.0, 0.02

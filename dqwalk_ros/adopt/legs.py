@@ -13,9 +13,6 @@ import numpy as np
 
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["Leg", "axes_differ", "bent", "freedom", "leg_of"]
-
-
 _LEAST = 0.28
 """Least distance of the knee's axis from hip and ankle, as a fraction of the distance between these."""
 _RANK = 0.05

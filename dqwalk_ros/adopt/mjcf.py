@@ -24,8 +24,6 @@ from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["MjcfDrive", "is_mjcf", "load_mjcf"]
-
 _CARRIED = 0.2
 """Least mass that a joint of a limb carries, as a fraction of that of another joint of its loop; rods carry less."""
 _TETRAHEDRON = [0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001, 0.0, 0.0, 0.0, 0.001]

@@ -15,9 +15,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.shapes import capsule_around
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["pairs_of_arms"]
-
-
 _POSTURES = 1000
 """Number of random postures of the arms that are tried."""
 _NEARLY = 0.02

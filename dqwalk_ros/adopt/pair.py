@@ -19,9 +19,6 @@ from dqwalk_ros.paper.geometry import X, Y, Z
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["NoLegsError", "branches", "find_pair", "mirrored"]
-
-
 _NEAR_FLOOR = 0.03
 """Largest height of a foot above the lowest point, as a fraction of the robot's height."""
 _TOUCHES = 0.006

@@ -24,20 +24,6 @@ from dqwalk_ros.robot.standing_limits import leg_inertia
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.footsteps import Footsteps
 
-__all__ = [
-    "Numbers",
-    "assumed",
-    "com_threshold",
-    "drive_parameters",
-    "dynamic_parameters",
-    "paper_parameters",
-    "parameters",
-    "robot_entries",
-    "servo_types",
-    "whole_body_parameters",
-]
-
-
 STIFFEST_FALL = 3.0
 """Servo stiffness as a multiple of m g h below which most robots fall."""
 STIFFNESS = 5.0

@@ -21,9 +21,6 @@ from dqwalk_ros.support.output import written
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw"]
-
-
 _MOST_TRIANGLES = 60_000
 _LIGHT = np.array([0.5, -0.4, 0.77])
 _VIEWS = {"from the side": (0, 2, -1.0, 1), "from the front": (1, 2, 1.0, 0), "from above": (0, 1, 1.0, 2)}

@@ -17,9 +17,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["Standing", "at_limits", "leg_axes", "over_one_foot", "stand", "why_not"]
-
-
 _BENT = 0.96
 """Distance of hip and ankle as a fraction of the largest one within the limits of the knee."""
 _UNBENT = 0.02

@@ -13,8 +13,6 @@ from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf, moves, pose_at
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["Entry", "Skeleton"]
-
 
 @dataclass(frozen=True)
 class Entry:

@@ -16,9 +16,6 @@ from dqwalk_ros.paper.geometry import X, Z
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["FoundSole", "find_soles", "foot_links", "plane_below"]
-
-
 _FLAT = 0.004
 """Largest distance from the plane of a sole of a point that belongs to it [m]."""
 _MIRRORED = 0.004

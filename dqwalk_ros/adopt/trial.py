@@ -30,9 +30,6 @@ from dqwalk_ros.support.errors import DqwalkError, PlantError
 from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.table import make_controller
 
-__all__ = ["Trial", "best", "cures", "dynamic_walks", "first_walks", "legs_touching", "too_much", "walk"]
-
-
 _LOADED = 0.01
 """Least part of a torque-speed line that is reported: joints without torque limit need less."""
 _SHORT = 0.9

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.adopt import Adoption
     from dqwalk_ros.report.viewer.page import Page
 
-__all__ = ["adopt"]
-
 _SHOWN = 8
 """Kinds of repairs that are printed, with one example of each."""
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from dqwalk_ros.config import Config, Spec
 
-__all__ = ["config"]
-
 
 @command("""
 examples:

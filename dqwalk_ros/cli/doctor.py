@@ -11,8 +11,6 @@ from dqwalk_ros.cli.options import Real, command, config_of, config_option, para
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
-__all__ = ["doctor"]
-
 
 def _namespace(_: click.Context, __: click.Parameter, text: str) -> str:
     names = text.strip("/")

@@ -19,8 +19,6 @@ from dqwalk_ros.support.text_table import aligned, without_numbers
 if TYPE_CHECKING:
     from dqwalk_ros.studies.evidence import WalkOutcome
 
-__all__ = ["evidence", "table"]
-
 
 @command("""
 a file of rows is a list such as

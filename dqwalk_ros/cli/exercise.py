@@ -23,8 +23,6 @@ from dqwalk_ros.cli.options import (
 from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
-__all__ = ["exercise"]
-
 
 @command("""
 The pelvis is fixed and level, with all limbs free (docs/hardware.md). Each joint is moved slowly over 0.5 rad or

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.support.arrays import Array
     from dqwalk_ros.walks.footsteps import Footsteps
 
-__all__ = ["footsteps", "reached"]
-
 _LENGTHS = (-0.1, -0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075, 0.1)
 _SIDES = (-0.06, -0.04, -0.02, -0.01, -0.005, 0.0, 0.005, 0.01, 0.02, 0.04, 0.06)
 """Requested steps of a robot whose pelvis is 0.4 m high [m]."""

@@ -16,8 +16,6 @@ from dqwalk_ros.support.output import refuse_existing, refuse_inside, write_text
 if TYPE_CHECKING:
     from dqwalk_ros.identification.fit import Identified
 
-__all__ = ["identify", "table"]
-
 
 @command("""
 prints of each servo, with standard deviations:

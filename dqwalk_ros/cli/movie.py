@@ -21,8 +21,6 @@ from dqwalk_ros.cli.options import (
 from dqwalk_ros.support.errors import ConfigError, PlantError
 from dqwalk_ros.support.output import refuse_existing, refuse_inside
 
-__all__ = ["movie"]
-
 
 @command("""
 examples:

@@ -19,13 +19,6 @@ from dqwalk_ros.support.errors import ConfigError, unexpanded
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
-__all__ = [
-    "Many", "Numbers", "Output", "Place", "Real", "Report", "bag_argument", "beside", "command", "config_of",
-    "config_option", "folder_option", "force_option", "format_option", "jobs_option", "many_options",
-    "namespace_option", "output_options", "params_option", "parse_overrides", "plant_option", "port_option",
-    "quiet_option", "set_option", "walk_option", "walk_options",
-]  # fmt: skip
-
 Function = Callable[..., Any]
 Option = Callable[[Function], Function]
 """A decorator that adds options to the function of a command."""

@@ -9,8 +9,6 @@ from typing import Any, Self
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-__all__ = ["Progress"]
-
 _TICK, _PAUSE = 1.0, 10.0
 """Longest time between two states of the bar, and between two lines where there is no terminal [s]."""
 

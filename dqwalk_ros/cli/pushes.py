@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.config import Config
     from dqwalk_ros.studies.pushes import Limit
 
-__all__ = ["pushes", "robocup", "table"]
-
 _LABELS = {
     "standing": "standing on both feet",
     "left": "in mid-step on the left foot",

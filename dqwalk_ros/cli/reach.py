@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.config import Config
     from dqwalk_ros.whole_body import Scenario, WholeBodyTrace
 
-__all__ = ["reach"]
-
 
 @command("""
 writes to the folder of --out:

@@ -27,9 +27,6 @@ from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import StateError, shown
 
-__all__ = ["CHECKS", "Result", "examine"]
-
-
 _RATE = 0.2
 """Largest relative error of the period of the states."""
 _LATE = 3.0

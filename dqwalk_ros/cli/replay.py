@@ -7,8 +7,6 @@ from pathlib import Path
 
 from dqwalk_ros.cli.options import bag_argument, beside, command, params_option, quiet_option
 
-__all__ = ["replay"]
-
 _MOST = 1.5
 """Largest rms error of a joint [deg]."""
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.report.figures.style import Drawn
     from dqwalk_ros.report.html.page import Subject
 
-__all__ = ["report"]
-
 
 @command("""
 examples:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from dqwalk_ros.report.figures.style import Drawn
     from dqwalk_ros.trace import Trace
 
-__all__ = ["create", "prepare", "prepare_study", "write_report", "write_results", "write_study"]
-
 
 def prepare(folder: Path, *others: str, force: bool) -> None:
     """Create the folder for a walk's results, without a bag; `others` are the names of further results.

@@ -28,8 +28,6 @@ from dqwalk_ros.support.text_table import without_numbers
 if TYPE_CHECKING:
     from dqwalk_ros.studies.robustness import Cell
 
-__all__ = ["robustness", "table"]
-
 
 @command("""
 writes to the folder of --out:

@@ -31,8 +31,6 @@ from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.walks.course import Course
 from dqwalk_ros.walks.table import walk_type
 
-__all__ = ["Processes", "RunOutcome", "environment", "private_domain", "run_walk"]
-
 _GRACE = {signal.SIGINT: 20.0, signal.SIGTERM: 3.0, signal.SIGKILL: 2.0}
 """Time that a process has to end after each signal [s]."""
 _STARTUP = 180.0

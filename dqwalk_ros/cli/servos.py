@@ -14,8 +14,6 @@ from dqwalk_ros.support.errors import ConfigError
 if TYPE_CHECKING:
     from dqwalk_ros.studies.servo_choice import Choice, Most
 
-__all__ = ["servos"]
-
 
 @command("""
 columns:

@@ -14,8 +14,6 @@ from dqwalk_ros.plants.table import SIMULATORS
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
-__all__ = ["simulate"]
-
 
 @command("""
 writes to the folder of --out:

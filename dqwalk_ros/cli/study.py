@@ -14,8 +14,6 @@ from dqwalk_ros.cli.options import Many, Place, command, format_option, many_opt
 if TYPE_CHECKING:
     from dqwalk_ros.studies import Study
 
-__all__ = ["study"]
-
 
 @command("""
 a study is a file such as

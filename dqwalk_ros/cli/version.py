@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dqwalk_ros.cli.options import command
 
-__all__ = ["version"]
-
 
 @command("")
 def version() -> int:

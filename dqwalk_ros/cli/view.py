@@ -10,8 +10,6 @@ import click
 
 from dqwalk_ros.cli.options import bag_argument, command, namespace_option, port_option, walk_option
 
-__all__ = ["view"]
-
 
 @command("""
 examples:

@@ -16,8 +16,6 @@ from dqwalk_ros.support.ros_environment import check_ros_environment
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
 
-__all__ = ["walk"]
-
 
 @command("""
 examples:

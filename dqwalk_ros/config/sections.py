@@ -13,14 +13,6 @@ from typing import Any, Literal
 from dqwalk_ros.config.schema import Spec, Value, checked, parameter, specs_of
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = [
-    "ArmsConfig", "CollisionConfig", "Config", "DspConfig", "DynamicConfig", "EstimationConfig", "GaitConfig",
-    "JointsConfig", "MonitorConfig", "NodeConfig", "OdometryConfig", "OutputConfig", "PelvisConfig", "PhysicsConfig",
-    "PlantConfig", "PoppyConfig", "QpConfig", "RobotConfig", "SafetyConfig", "SensorsConfig", "ServoConfig",
-    "SspConfig", "StandingConfig", "TaskConfig", "WholeBodyConfig",
-]  # fmt: skip
-
-
 ZERO = (0.0, 0.0, 0.0)
 
 

@@ -25,9 +25,6 @@ from dqwalk_ros.paper.tasks import Task, converge
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import INTEGERS, MATRIX, TABLE, VECTOR, Record, jit
 
-__all__ = ["Assembly", "Evaluation", "least_after"]
-
-
 DEPENDENT = 5e-3
 """Ratio to the largest singular value below which a singular value of equality rows counts as zero."""
 _ANY = 1e-9

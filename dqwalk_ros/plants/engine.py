@@ -31,8 +31,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import PlantError
 
-__all__ = ["HELD", "Box", "EnginePlant", "floor_of", "gravity_of", "pose_of", "slope_of", "standing_root", "steps_of"]
-
 HELD = 1.5
 """Height at which the root link is held in the air [m]."""
 _NO_ACCELERATION = np.zeros(3)

@@ -25,9 +25,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ModelError, PlantError
 
-__all__ = ["PhysicsPlant", "build", "held_torques", "own_contacts", "robot_spec", "set_timestep"]
-
-
 _THICK = 0.008
 """Thickness of the boxes of the soles [m]."""
 _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]

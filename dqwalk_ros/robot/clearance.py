@@ -18,9 +18,6 @@ from dqwalk_ros.robot.shapes import Shapes, capsule_around
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
 
-__all__ = ["Clearance", "limbs"]
-
-
 _CLEAR, _NEARER, _SLACK = 0.01, 0.005, 0.0005
 """Least distance of links that are not neighbours, and by how much those that are nearer in the zero posture may
 approach each other [m]; the same on a way, also for those that are nearer at its ends."""

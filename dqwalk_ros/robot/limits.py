@@ -9,8 +9,6 @@ import numpy as np
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array, Mask
 
-__all__ = ["FASTEST", "JointLimits", "clamp_effort", "clamp_velocity", "named_angles", "outside_limits", "unreachable"]
-
 FASTEST = 100.0
 """Velocity of a joint without a limit, where a bound is needed [rad/s]."""
 

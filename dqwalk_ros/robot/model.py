@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 
     from dqwalk_ros.paper.geometry import ConvexPolygon
 
-__all__ = ["Body", "Frame", "RobotModel", "Sole", "find_urdf", "load_model", "parse_model"]
-
-
 _REMEMBERED = 2**20
 """Largest description whose model is remembered [byte, characters]."""
 

@@ -18,9 +18,6 @@ from typing import Any
 
 from dqwalk_ros.support.errors import ModelError
 
-__all__ = ["decoded", "expanded", "find_package_file", "is_pointer"]
-
-
 POINTER = b"version https://git-lfs"
 """Beginning of the file that Git has in place of a large one which it has not fetched."""
 _EAST_ASIAN = ("gb2312", "gbk", "gb18030", "big5", "shift_jis", "euc-jp", "euc-kr")

@@ -24,8 +24,6 @@ from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
 
-__all__ = ["IDENTIFIED", "Drive", "ServoType", "Servos", "load_types"]
-
 IDENTIFIED = ("stiffness", "damping", "backlash", "friction")
 """Names allowed in an entry of ``servo.assumed`` [N m/rad, s, rad, N m]."""
 _LATE = 0.045

@@ -20,9 +20,6 @@ from dqwalk_ros.support.errors import ModelError, listed
 if TYPE_CHECKING:
     from yourdfpy import Collision, Link, Visual
 
-__all__ = ["PRIMITIVES", "Shapes", "Surface", "capsule_around", "kind_and_size", "make_convex", "meshes_of", "rgba_of"]
-
-
 _KINDS = ("collisions", "visuals")
 PRIMITIVES = ("box", "cylinder", "sphere")
 """Shapes that every viewer can draw; all other shapes are drawn as triangles."""

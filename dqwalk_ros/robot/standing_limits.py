@@ -20,15 +20,6 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive, Servos
 from dqwalk_ros.support.arrays import Array
 
-__all__ = [
-    "Finding",
-    "divergent_component",
-    "leg_inertia",
-    "longest_delay",
-    "servo_findings",
-]
-
-
 STIFFNESS = 3.0
 """Least stiffness of the servos, as a multiple of m g h."""
 DAMPING = 0.3

@@ -16,8 +16,6 @@ from xml.parsers import expat
 from dqwalk_ros.robot.packages import POINTER, decoded
 from dqwalk_ros.support.errors import ModelError, kinds
 
-__all__ = ["LARGEST", "MOST_BYTES", "elements", "place"]
-
 MOST_BYTES = 32 << 20
 _DEEPEST = 64
 """Largest depth of nested elements; a valid URDF has six."""

@@ -30,9 +30,6 @@ from dqwalk_ros.walks.arms import Arms
 from dqwalk_ros.walks.footprint import flat
 from dqwalk_ros.walks.footsteps import Carried, Footsteps, parsed, stair_height
 
-__all__ = ["JOINT_RETURN", "SteppingWalk"]
-
-
 JOINT_RETURN = 0.5
 """Largest speed at which a joint beyond its limit is required to return [rad/s]."""
 _LAGS = 2.0

@@ -19,9 +19,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.dynamic.plan import Pressed, before
 
-__all__ = ["Step", "adjusted", "left_over", "transfer_time"]
-
-
 _GRID = 0.01
 """Resolution of the search for the landing time [s]."""
 _AHEAD_PART, _TIME_PART = 0.05, 1e-3

@@ -11,9 +11,6 @@ from dqwalk_ros.paper.statics import GRAVITY, Soles, ground_torques
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
-__all__ = ["converging", "fed_back", "feedforward", "ground_force"]
-
-
 _ACCELERATION = 0.01
 """Time constant of the filter of the commanded accelerations [s]."""
 

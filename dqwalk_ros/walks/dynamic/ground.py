@@ -16,9 +16,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
 
-__all__ = ["Ground", "include", "tipped"]
-
-
 _MEMORY = 2.0
 """Time constant of the mean inclination of the supporting soles [s]."""
 

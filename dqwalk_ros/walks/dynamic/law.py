@@ -19,9 +19,6 @@ from dqwalk_ros.walks.dynamic.pendulum import Moving, advance, command, measure,
 from dqwalk_ros.walks.dynamic.plan import REFERENCE
 from dqwalk_ros.walks.dynamic.swing import advanced, climbing
 
-__all__ = ["GROUNDED", "Measured", "Settings", "answer", "notice"]
-
-
 _AHEAD_OF_DELAY = 0.75
 """Part of the delay less a period by which the reference of the CoM is ahead; with less the weight is transferred late,
 and with all of it a bus at 50 Hz tilts the soles."""

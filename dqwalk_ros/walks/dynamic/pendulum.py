@@ -22,12 +22,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
 
-__all__ = [
-    "InvertedPendulum", "Moving", "Pendulum", "advance", "angular_momentum", "command", "measure", "swing_inertia",
-    "when_acting",
-]  # fmt: skip
-
-
 _SMOOTH = 0.02
 """Time constant of the filter of the measured xi [s]."""
 

@@ -20,9 +20,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import FLOAT, MATRIX, NOTHING, VECTOR, Signature, jit
 from dqwalk_ros.walks.following import minimum_jerk
 
-__all__ = ["REFERENCE", "Pressed", "Reference", "Rest", "Support", "before", "single_supports"]
-
-
 REFERENCE = Signature(NOTHING, VECTOR, FLOAT, MATRIX)
 """Type of the functions of references: they fill `out` from (numbers, elapsed, out)."""
 

@@ -22,9 +22,6 @@ from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.footprint import Footprint
 from dqwalk_ros.walks.standing.walk import StandingWalk
 
-__all__ = ["RecoveringWalk", "Steps"]
-
-
 _CONFIRMED = 3
 """Number of consecutive states with xi beyond the sole after which it is caught, to reject measurement noise."""
 _LATEST = 0.05

@@ -12,9 +12,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.following import minimum_jerk
 
-__all__ = ["Swing", "advanced", "climbing"]
-
-
 _LIFT, _LAND = 0.02, 0.06
 """Fractions of the duration at the beginning and at the end without motion along the ground."""
 _GENTLE = 2.7

@@ -46,9 +46,6 @@ from dqwalk_ros.walks.footprint import Footprint
 from dqwalk_ros.walks.footsteps import Carried, stair_height
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
 
-__all__ = ["DynamicWalk"]
-
-
 _AHEAD = 6
 """Number of planned footprints."""
 _LATE = 0.05
