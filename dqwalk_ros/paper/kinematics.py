@@ -25,7 +25,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ, product
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.support.arrays import Array, Mask
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.compiled import BOOLEANS, INTEGER, VECTOR, Record, jit
 
 if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
@@ -72,6 +72,9 @@ class Place(NamedTuple):
     body: int
     pose: Array
     moves: Mask
+
+
+PLACE = Record(Place, INTEGER, VECTOR, BOOLEANS)
 
 
 # ---------------------------------------------------------------------- compiled functions

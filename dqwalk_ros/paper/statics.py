@@ -10,7 +10,7 @@ import numpy as np
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, compose, direction, point, support_tree
 from dqwalk_ros.support.arrays import Array, Mask
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.compiled import BOOLEAN, BOOLEANS, FLOAT, INTEGER, VECTOR, Record, jit
 
 if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel
@@ -50,6 +50,9 @@ class Soles(NamedTuple):
         points = (sole.center, other.center) if at is None else (at[base], at[base.other])
         body, pose, moves = support_tree(model, base).frames[other.frame]
         return cls(both, *points, 0.5 * min(sole.length, other.length), body, pose, moves)
+
+
+SOLES = Record(Soles, BOOLEAN, VECTOR, VECTOR, FLOAT, INTEGER, VECTOR, BOOLEANS)
 
 
 def gravity_torques(kin: Kinematics, *, both: bool) -> Array:

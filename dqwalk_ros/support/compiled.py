@@ -141,9 +141,9 @@ def jit(function: Callable[..., Any]) -> Any:
 
 # ---------------------------------------------------------------------- functions that are known at run time only
 
-FLOAT, INTEGER, NOTHING = numba.float64, numba.int64, numba.void
+FLOAT, INTEGER, BOOLEAN, NOTHING = numba.float64, numba.int64, numba.boolean, numba.void
 VECTOR, MATRIX, MASK = numba.float64[::1], numba.float64[:, ::1], numba.boolean[:, ::1]
-INTEGERS, TABLE = numba.int64[::1], numba.int64[:, ::1]
+INTEGERS, TABLE, BOOLEANS = numba.int64[::1], numba.int64[:, ::1], numba.boolean[::1]
 
 
 class Signature:
@@ -218,23 +218,26 @@ class Signature:
 
 
 class Record:
-    """Type of a NamedTuple of arrays, for a `Signature`, or for a compiled function that takes it by its address.
+    """Type of a NamedTuple of arrays and numbers, for a `Signature`, or for a function that takes it by its address.
 
     numba reads 15 arrays in a microsecond from Python. So a record that is made once is read once, into a table, which
     is one array; of it the compiled function makes the record again, without time.
 
     Parameters
     ----------
+    cls : type of NamedTuple
     fields
-        Types of its arrays, such as `VECTOR`; of a record within it, its `Record`.
+        Types of its arrays and numbers, such as `VECTOR`; of a record within it, its `Record`.
     """
 
     def __init__(self, cls: type[tuple[Any, ...]], *fields: Any) -> None:
-        self._fields = [(field, None if isinstance(field, Record) else np.dtype(str(field.dtype))) for field in fields]
+        self._fields = [(field, np.dtype(str(field.dtype)) if hasattr(field, "dtype") else None) for field in fields]
         self.type: Any = types.NamedTuple([field.type if isinstance(field, Record) else field for field in fields], cls)
 
     def table(self, record: tuple[Any, ...]) -> Any:
-        """Return address and shape of each array, as long as the arrays exist; where numba is disabled, the record.
+        """Return the numbers, and address and shape of each array, as long as the arrays exist.
+
+        Where numba is disabled, it is the record.
 
         Raises
         ------
@@ -246,8 +249,10 @@ class Record:
     def _words(self, record: tuple[Any, ...]) -> list[int]:
         words: list[int] = []
         for (field, dtype), part in zip(self._fields, record, strict=True):
-            if dtype is None:
+            if isinstance(field, Record):
                 words += field._words(part)
+            elif dtype is None:
+                words.append(int(np.float64(part).view(np.int64)) if field is FLOAT else int(part))
             elif part.dtype != dtype or part.ndim != field.ndim or not part.flags.c_contiguous:
                 raise TypeError(f"an array of {self.type.instance_class.__name__} is {numba.typeof(part)}, not {field}")
             else:
@@ -279,8 +284,12 @@ class Record:
 
         parts = []
         for field, dtype in self._fields:
-            if dtype is None:
+            if isinstance(field, Record):
                 parts.append(field._read(context, builder, words, places))
+                continue
+            if dtype is None:
+                as_value = {FLOAT: builder.bitcast, INTEGER: builder.bitcast, BOOLEAN: builder.trunc}[field]
+                parts.append(as_value(word(), context.get_value_type(field)))
                 continue
             array = context.make_array(field)(context, builder)
             size = context.get_constant(types.intp, dtype.itemsize)

@@ -36,11 +36,16 @@ def com_and_xi(kin: Kinematics, state: State, omega: Array, share: float = 0.0) 
 
 def measured(kin: Kinematics, state: State) -> tuple[Any, ...]:
     """Return what the velocity of the CoM is computed from, as `projected` takes it."""
-    frames, dq, gyro = kin.tree.frames, state.dq, state.gyro
-    if dq is None:
-        dq, gyro = np.zeros(len(kin.q)), None
+    frames = kin.tree.frames
     places = tuple(frames[kin.swing]), tuple(frames[kin.model.imu])
-    return kin.com, kin.com_jacobian, kin.lines, kin.poses, *places, dq, NOT_MEASURED if gyro is None else gyro
+    return kin.com, kin.com_jacobian, kin.lines, kin.poses, *places, *rates(state)
+
+
+def rates(state: State) -> tuple[Array, Array]:
+    """Return the joint velocities (n,), zero if they are unknown, and the angular velocity, empty if not measured."""
+    if state.dq is None:
+        return np.zeros(len(state.q)), NOT_MEASURED
+    return state.dq, NOT_MEASURED if state.gyro is None else state.gyro
 
 
 @jit

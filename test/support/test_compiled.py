@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from dqwalk_ros.support.compiled import INTEGERS, MASK, MATRIX, VECTOR, Record, jit
+from dqwalk_ros.support.compiled import BOOLEAN, FLOAT, INTEGER, INTEGERS, MASK, MATRIX, VECTOR, Record, jit
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="then a record is its own table")
 
@@ -59,3 +59,31 @@ def test_a_compiled_function_works_in_the_memory_of_a_record():
 def test_an_array_of_another_type_has_no_address(wrong):
     with pytest.raises(TypeError, match="an array of Outer is"):
         RECORD.table(outer()._replace(A=wrong))
+
+
+class Mixed(NamedTuple):
+    """Numbers around an array."""
+
+    weight: float
+    values: np.ndarray
+    index: int
+    doubled: bool
+
+
+MIXED = Record(Mixed, FLOAT, VECTOR, INTEGER, BOOLEAN)
+mixed_opened = MIXED.opened
+
+
+@jit
+def weighted(table):
+    """Return the weighted value at the index, twice that if the record says so."""
+    record = mixed_opened(table)
+    value = record.weight * record.values[record.index]
+    return 2.0 * value if record.doubled else value
+
+
+def test_a_record_has_numbers():
+    values = np.array([3.0, 5.0, 7.0])
+    for index, doubled_ in ((1, False), (2, True)):
+        record = Mixed(-0.1, values, index, doubled_)
+        assert weighted(MIXED.table(record)) == -0.1 * values[index] * (2.0 if doubled_ else 1.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from dqwalk_ros.paper.geometry import moved_inside
@@ -46,8 +44,7 @@ def converging(c: Array, xi: Array, later: Array, omega: Array, time: float) -> 
 @jit
 def feedforward(
     acceleration: Array, before: Array, u: Array, passed: float, mass: float, force: Array, pressure: Array,
-    inertia: Array, legs: Mask, up: Array, com: Array, J_com: Array, lines: Array, poses: Array,
-    soles: tuple[Any, ...],
+    inertia: Array, legs: Mask, up: Array, com: Array, J_com: Array, lines: Array, poses: Array, soles: Soles,
 ) -> Array:  # fmt: skip
     """Return the feedforward torques for a ground reaction force per mass through the zero-moment point, (n,) [N m].
 
@@ -57,11 +54,10 @@ def feedforward(
     commanded velocities have changed from `before` to `u` (n,) [rad/s] in the time `passed` [s], or that is not known
     (0).
     """
-    on = Soles(*soles)
     _approach(acceleration, before, u, passed)
-    tau: Array = ground_torques(mass * force, pressure, com, J_com, lines, poses, on)
+    tau: Array = ground_torques(mass * force, pressure, com, J_com, lines, poses, soles)
     tau += mass * _leg_torques(lines, com, J_com, legs, pressure, force, GRAVITY * up)
-    if not on.both:
+    if not soles.both:
         tau += inertia @ acceleration
     return tau
 

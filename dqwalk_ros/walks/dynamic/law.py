@@ -1,21 +1,24 @@
 """The law of the dynamic walk: from a measured state to the targets of its tasks and the force of the ground.
 
-It is two compiled calls for each state, which call the functions of the CoM, the pendulum, the ground, the plan, the
-swing foot and the force: `notice` what is measured, by which the step may be adjusted, and `answer`.
+It is three compiled calls for each state, which call the functions of the CoM, the pendulum, the ground, the plan, the
+swing foot and the force: `notice` what is measured, by which the step may be adjusted, `answer`, and the `torques` for
+the command that the quadratic program gives. What they read and write in a phase is one `Memory`.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.paper.kinematics import PLACE, Place
+from dqwalk_ros.paper.statics import SOLES, Soles
+from dqwalk_ros.support.arrays import Array, Mask
+from dqwalk_ros.support.compiled import BOOLEANS, FLOAT, MATRIX, VECTOR, Record, jit
 from dqwalk_ros.walks.com import projected
-from dqwalk_ros.walks.dynamic.force import converging, fed_back, ground_force
+from dqwalk_ros.walks.dynamic.force import converging, fed_back, feedforward, ground_force
 from dqwalk_ros.walks.dynamic.ground import include, tipped
-from dqwalk_ros.walks.dynamic.pendulum import Moving, advance, command, measure, when_acting
+from dqwalk_ros.walks.dynamic.pendulum import MOVING, Moving, advance, command, measure, when_acting
 from dqwalk_ros.walks.dynamic.plan import REFERENCE
 from dqwalk_ros.walks.dynamic.swing import advanced, climbing
 
@@ -26,24 +29,8 @@ _DOWN_AHEAD = 1.4
 """Multiple of the delay less a period by which the path of a swing foot ends early; with less the leg still moves when
 the foot lands."""
 
-GROUNDED = np.zeros(6), np.zeros(2), np.zeros(14), np.zeros(13)
-"""Stands for the swing, see `answer`, of a phase without one."""
-
-
-class Measured(NamedTuple):
-    """A measured state, `elapsed` [s] after the beginning of the phase of a `duration` [s].
-
-    `c` and `xi` (2,) are the CoM and the divergent component [m], `up` (3,) the vertical, and `vertical` (3,) its mean,
-    that of the ground.
-    """
-
-    time: float
-    elapsed: float
-    duration: float
-    c: Array
-    xi: Array
-    up: Array
-    vertical: Array
+GROUNDED = np.zeros(6), np.zeros(2), np.zeros(14)
+"""Stands for `Swing.compiled` in a phase without a swing."""
 
 
 class Settings(NamedTuple):
@@ -64,22 +51,76 @@ class Settings(NamedTuple):
     height: float
 
 
+class Memory(NamedTuple):
+    """What the law reads and writes in a phase.
+
+    Attributes
+    ----------
+    settings : Settings
+    pendulum : Moving
+    c, xi : ndarray, shape (2,)
+        The measured CoM and divergent component [m].
+    vertical : ndarray, shape (3,)
+        Mean vertical, that of the ground.
+    n, d : ndarray, shapes (m, 2) and (m,)
+        Edges of the support polygon.
+    from_height, to_height : float
+        Heights of the CoM above that of the posture at the beginning and at the end of the phase [m].
+    swing, com, height, upright : ndarray
+        Numbers of the `Target` of each task.
+    force : ndarray, shape (3,)
+        Force of the ground per mass [m/s^2].
+    other, sensor : Place
+        Places of the other sole and of the inertial sensor.
+    mass, acceleration, inertia, legs, soles
+        Arguments of `feedforward`.
+    """
+
+    settings: Settings
+    pendulum: Moving
+    c: Array
+    xi: Array
+    vertical: Array
+    n: Array
+    d: Array
+    from_height: float
+    to_height: float
+    swing: Array
+    com: Array
+    height: Array
+    upright: Array
+    force: Array
+    other: Place
+    sensor: Place
+    mass: float
+    acceleration: Array
+    inertia: Array
+    legs: Mask
+    soles: Soles
+
+
+MEMORY = Record(
+    Memory, Record(Settings, *[FLOAT] * len(Settings._fields)), MOVING, *[VECTOR] * 3, MATRIX, VECTOR, FLOAT, FLOAT,
+    *[VECTOR] * 5, PLACE, PLACE, FLOAT, VECTOR, MATRIX, BOOLEANS, SOLES,
+)  # fmt: skip
+_opened = MEMORY.opened
+
+
 @jit
 def notice(
-    time: float, dt: float, up: Array, vertical: Array, pendulum: tuple[Any, ...], c: Array, xi: Array, share: float,
-    com: Array, J_com: Array, lines: Array, poses: Array, swing: tuple[Any, ...], sensor: tuple[Any, ...], dq: Array,
-    gyro: Array,
+    table: Array, time: float, dt: float, up: Array, share: float, com: Array, J_com: Array, lines: Array,
+    poses: Array, dq: Array, gyro: Array,
 ) -> None:  # fmt: skip
-    """Fill c and xi (2,) [m], and include a state at `time`, `dt` after the last one [s].
+    """Include a state at `time`, `dt` after the last one [s], in the `Memory` whose `table` is given.
 
-    The pendulum, whose fields are those of `Moving`, and the mean `vertical` (3,) of the ground go on. The arguments
-    from `share` on are those of `projected`.
+    The arguments from `up` on are those of `projected`.
     """
-    now = Moving(*pendulum)
-    c[:], xi[:] = projected(up, now.omega, share, com, J_com, lines, poses, swing, sensor, dq, gyro)
+    kept = _opened(table)
+    now = kept.pendulum
+    kept.c[:], kept.xi[:] = projected(up, now.omega, share, com, J_com, lines, poses, kept.other, kept.sensor, dq, gyro)
     advance(now, dt)
-    include(vertical, up, dt)
-    measure(now, time, dt, xi)
+    include(kept.vertical, up, dt)
+    measure(now, time, dt, kept.xi)
 
 
 _planned = REFERENCE.call
@@ -87,35 +128,32 @@ _planned = REFERENCE.call
 
 @jit
 def answer(
-    measured: tuple[Any, ...], settings: tuple[Any, ...], pendulum: tuple[Any, ...], reference: tuple[Any, Array],
-    support: tuple[Array, Array], climb: tuple[float, float], transfers: bool, swings: bool, swing: tuple[Array, ...],
-    com: Array, height: Array, upright: Array, force: Array,
+    table: Array, time: float, t: float, duration: float, up: Array, function: int, numbers: Array, transfers: bool,
+    swings: bool, state: Array, goal: Array, path: Array,
 ) -> None:  # fmt: skip
-    """Fill the numbers of the `Target` of each task, and the force (3,) of the ground per mass [m/s^2].
+    """Fill the targets and the force of a `Memory`, whose `table` is given, for the last state that it has noticed.
 
     Parameters
     ----------
-    measured, settings, pendulum : tuple
-        Fields of `Measured`, `Settings` and `Moving`; records arrive as plain tuples, as in `assembly`.
-    reference : tuple
+    time : float
+        Time of that state [s].
+    t, duration : float
+        Time since the phase began, and its duration [s].
+    up : ndarray, shape (3,)
+        The vertical.
+    function, numbers
         `Reference.compiled`.
-    support : (n, d)
-        Edges of the support polygon, shapes (m, 2) and (m,).
-    climb : tuple
-        Heights of the CoM above that of the posture at the beginning and at the end of the phase [m].
     transfers, swings : bool
         Whether the phase is a double support that transfers the weight, or a single support.
-    swing : tuple
-        `Swing.compiled`, and the numbers of the target of the swing foot.
-    com, height, upright : ndarray
-        Numbers of the targets.
+    state, goal, path : ndarray
+        `Swing.compiled`.
     """
-    at, fixed, now, (function, numbers) = Measured(*measured), Settings(*settings), Moving(*pendulum), reference
-    t, z, later = at.elapsed, np.empty(2), np.empty((2, 2))
+    kept, z, later = _opened(table), np.empty(2), np.empty((2, 2))
+    fixed, now = kept.settings, kept.pendulum
     _planned(function, numbers, t, later)
     now.xi[:] = later[0]
     # the error of xi that remains when the command acts is fed back
-    c, xi = when_acting(now, at.time, at.c, at.xi)
+    c, xi = when_acting(now, time, kept.c, kept.xi)
     due = np.empty((2, 2))
     _planned(function, numbers, t + now.delay, due)
     z[:] = due[1]
@@ -124,16 +162,29 @@ def answer(
         z[:] = later[1]
     reaction = 0.0
     if swings:  # the foot must be on the ground before the weight is transferred
-        state, goal, path, target = swing
-        down = at.duration - _DOWN_AHEAD * fixed.advance + fixed.late
+        down = duration - _DOWN_AHEAD * fixed.advance + fixed.late
         place, velocity, acceleration = advanced(state, goal, path, t, down)
-        target[:7], target[7:] = tipped(at.vertical, at.up, fixed.unsure, place), velocity
+        kept.swing[:7], kept.swing[7:] = tipped(kept.vertical, up, fixed.unsure, place), velocity
         reaction = fixed.reaction * acceleration[0]
-    command(now, at.time, fed_back(z, due[0], xi, fixed.gain, reaction, support[0], support[1], fixed.margin))
-    force[:] = ground_force(c, now.pressure, now.omega, at.up)
+    command(now, time, fed_back(z, due[0], xi, fixed.gain, reaction, kept.n, kept.d, fixed.margin))
+    kept.force[:] = ground_force(c, now.pressure, now.omega, up)
     ahead = _AHEAD_OF_DELAY * fixed.advance
     _planned(function, numbers, t + ahead, later)
-    com[:2], com[2:] = converging(now.c, now.xi, later[0], now.omega, ahead)
-    above, rising = climbing(climb[0], climb[1], at.duration, t + ahead)
-    height[0], height[1] = fixed.height + above, rising
-    upright[:2], upright[2:] = at.up[:2], 0.0
+    kept.com[:2], kept.com[2:] = converging(now.c, now.xi, later[0], now.omega, ahead)
+    above, rising = climbing(kept.from_height, kept.to_height, duration, t + ahead)
+    kept.height[0], kept.height[1] = fixed.height + above, rising
+    kept.upright[:2], kept.upright[2:] = up[:2], 0.0
+
+
+@jit
+def torques(
+    table: Array, before: Array, u: Array, passed: float, up: Array, com: Array, J_com: Array, lines: Array,
+    poses: Array,
+) -> Array:  # fmt: skip
+    """Return the `feedforward` torques (n,) [N m] for the force in the `table` of a `Memory`."""
+    kept = _opened(table)
+    tau: Array = feedforward(
+        kept.acceleration, before, u, passed, kept.mass, kept.force, kept.pendulum.pressure, kept.inertia, kept.legs,
+        up, com, J_com, lines, poses, kept.soles,
+    )  # fmt: skip
+    return tau

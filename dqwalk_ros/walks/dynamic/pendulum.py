@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import Body
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.compiled import FLOAT, MATRIX, VECTOR, Record, jit
 from dqwalk_ros.walks.footprint import Footprint
 
 _SMOOTH = 0.02
@@ -148,11 +148,10 @@ class Pendulum:
         self._points[:], self._begins[:] = c, -math.inf
 
     @property
-    def compiled(self) -> tuple[Any, ...]:
-        """The fields of `Moving`."""
-        return (
-            self._omega, self.delay, self.wait, self.c, self.xi, self.smooth, self.pressure, self._begins, self._points
-        )  # fmt: skip
+    def compiled(self) -> Moving:
+        """What compiled code updates, in the same memory until the next `use`."""
+        arrays = self.c, self.xi, self.smooth, self.pressure, self._begins, self._points
+        return Moving(self._omega, self.delay, self.wait, *arrays)
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""
@@ -176,6 +175,9 @@ class Moving(NamedTuple):
     pressure: Array
     begins: Array
     points: Array
+
+
+MOVING = Record(Moving, VECTOR, FLOAT, FLOAT, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX)
 
 
 @jit

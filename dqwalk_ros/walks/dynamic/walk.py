@@ -31,13 +31,12 @@ from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
-from dqwalk_ros.support.arrays import Array, Mask
+from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.com import com_and_xi, measured
+from dqwalk_ros.walks.com import com_and_xi, rates
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
-from dqwalk_ros.walks.dynamic.force import feedforward
 from dqwalk_ros.walks.dynamic.ground import Ground
-from dqwalk_ros.walks.dynamic.law import GROUNDED, answer, notice
+from dqwalk_ros.walks.dynamic.law import GROUNDED, MEMORY, Memory, Settings, answer, notice, torques
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
@@ -133,7 +132,6 @@ class DynamicWalk(SteppingWalk):
         self._step_now: Sequence[float] = _ON_THE_SPOT  # length, side and turn of the current step
         self._resumes = 0  # step before which it steps on the spot
         self._onto: dict[Foot, list[Array]] = {}  # footprints onto what has stopped a foot, with ``gait.climb``
-        self._mass = model.mass
         self._assume(Drive.of(config, model))
         self._known: Phase | None = None
         self._now: Pendulum
@@ -163,8 +161,8 @@ class DynamicWalk(SteppingWalk):
         self._trunk_roll: AtRest | None = None
         self._trunk_held: bool | None = None
         self._outwards = 0.0  # that of the step before this phase [m]
-        self._soles: tuple[Any, ...]  # fields of `Soles`
-        self._legs: Mask  # (n,), whether a joint is between the base sole and the pelvis
+        self._kept: Memory  # that of the law, and its table, which is made again if an array is replaced
+        self._table: Any = None
 
     @staticmethod
     def phases(config: Config) -> int:
@@ -195,6 +193,7 @@ class DynamicWalk(SteppingWalk):
         """Use a model of the servos: its delay moves the references ahead, and lowers the gain."""
         self._assume(drive)
         self._now.use(drive.delay)
+        self._table = None
 
     def _assume(self, drive: Drive) -> None:
         self._drive, delay = drive, drive.delay
@@ -378,11 +377,14 @@ class DynamicWalk(SteppingWalk):
         if not 0.0 <= dt <= _GAP:
             dt, (c, xi) = 0.0, com_and_xi(kin, state, self.pendulum.omega, share)
             now.reset(c, xi, xi if self._descends else c)
-            self._ground = Ground(up)
+            self._ground, self._table = Ground(up), None
         if phase is not self._known:
             self._begin(phase, kin)
-        c, xi = self._measured
-        notice(state.time, dt, up, self._ground.vertical, now.compiled, c, xi, share, *measured(kin, state))
+        if self._table is None:
+            self._kept = self._memory(phase, kin)
+            self._table = MEMORY.table(self._kept)
+        robot = kin.com, kin.com_jacobian, kin.lines, kin.poses
+        notice(self._table, state.time, dt, up, share, *robot, *rates(state))
         if self._tipped is not None:
             self._keep_on_ground(phase, self._tipped, up)
         assert isinstance(phase.rule, Timed)
@@ -390,7 +392,7 @@ class DynamicWalk(SteppingWalk):
         self._rests = t >= phase.rule.duration
         flight, change = self._flight, None
         if flight is not None:
-            change = self._adjust_step(flight, phase, c, t)
+            change = self._adjust_step(flight, phase, t)
             change = self._meets(flight, phase, kin, state) or change
         elif isinstance(self._reference, Pressed):
             change = self._adjust_transfer(self._reference, phase, phase.rule, t)
@@ -405,22 +407,27 @@ class DynamicWalk(SteppingWalk):
 
     def _answer(self, phase: Phase, rule: Timed, state: State, up: Array, t: float) -> None:
         """Set the targets of the tasks and the force of the ground, `t` [s] after the beginning of the phase."""
-        d, flight, targets = self.config.dynamic, self._flight, self._targets
-        margin = self.config.standing.pressure_margin
-        settings = self._advance, self._gain, self._unsure, margin, d.land_late, self.pendulum.swing, self._height
+        flight = self._flight
         answer(
-            (state.time, t, rule.duration, *self._measured, up, self._ground.vertical),
-            settings,
-            self._now.compiled,
-            self._reference.compiled,
-            self._support,
-            self._climb,
-            phase.kind is PhaseKind.DOUBLE_SUPPORT,
-            flight is not None,
-            GROUNDED if flight is None else (*flight.swing.compiled, targets["swing"].numbers),
-            *(targets[name].numbers for name in ("com", "height", "upright")),
-            self._force,
-        )
+            self._table, state.time, t, rule.duration, up, *self._reference.compiled,
+            phase.kind is PhaseKind.DOUBLE_SUPPORT, flight is not None,
+            *(GROUNDED if flight is None else flight.swing.compiled),
+        )  # fmt: skip
+
+    def _memory(self, phase: Phase, kin: Kinematics) -> Memory:
+        """Return what the law reads and writes in a phase."""
+        d, model, frames = self.config.dynamic, self.model, kin.tree.frames
+        margin = self.config.standing.pressure_margin
+        alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
+        (c, xi), (n, offsets), (begin, end) = self._measured, self._support, self._climb
+        return Memory(
+            Settings(self._advance, self._gain, self._unsure, margin, d.land_late, self.pendulum.swing, self._height),
+            self._now.compiled, c, xi, self._ground.vertical, n, offsets, begin, end,
+            **{name: target.numbers for name, target in self._targets.items()},
+            force=self._force, other=frames[kin.swing], sensor=frames[model.imu], mass=model.mass,
+            acceleration=self._acceleration, inertia=self._inertia[phase.base], legs=frames[model.pelvis].moves,
+            soles=Soles.of(model, phase.base, both=phase.double, at=alone),
+        )  # fmt: skip
 
     def _keep_on_ground(self, phase: Phase, least: Array, up: Array) -> None:
         """Hold the foot that has landed in the plane of the ground while the base sole, which was tipped, comes down.
@@ -439,8 +446,8 @@ class DynamicWalk(SteppingWalk):
             return 0.0
         return share_of(phase.base.other, state.loads)
 
-    def _adjust_step(self, flight: _Flight, phase: Phase, c: Array, t: float) -> Change | None:
-        """Adjust time and position of the landing to the measured xi, `t` [s] after lift-off; c (2,) is the CoM [m].
+    def _adjust_step(self, flight: _Flight, phase: Phase, t: float) -> Change | None:
+        """Adjust time and position of the landing to the measured xi, `t` [s] after lift-off.
 
         Return the change as soon as the landing can no longer be adjusted.
         """
@@ -462,7 +469,7 @@ class DynamicWalk(SteppingWalk):
         flight.most = max(flight.most, float(np.abs(over).max()))
         flight.outwards = max(flight.outwards, float(over[1]) * (1.0 if phase.base is Foot.LEFT else -1.0))
         if np.abs(over).max() > _RESIDUAL:
-            self._now.c += _APPROACH * (c - self._now.c)
+            self._now.c += _APPROACH * (self._measured[0] - self._now.c)
         return None
 
     def _adjust_transfer(self, reference: Pressed, phase: Phase, rule: Timed, t: float) -> Change | None:
@@ -570,11 +577,7 @@ class DynamicWalk(SteppingWalk):
             else:
                 self._reference = self._transfer_reference(phase, other, rule, before)
         self._climb = above, end
-        self._support = outline.edges()
-        self._legs = kin.tree.frames[self.model.pelvis].moves
-        alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
-        both = phase.double
-        self._soles = tuple(Soles.of(self.model, phase.base, both=both, at=alone))
+        self._support, self._table = outline.edges(), None
 
     def _transfer_reference(self, phase: Phase, other: Footprint, rule: Timed, before: Phase | None) -> Reference:
         """Return the reference of a double support, which ends on the foot at `other`."""
@@ -662,11 +665,8 @@ class DynamicWalk(SteppingWalk):
         The joints of the swing leg are accelerated as commanded by `u` (n,) [rad/s].
         """
         passed = state.time - self._commanded
-        tau: Array = feedforward(
-            self._acceleration, self._u, u, passed if passed <= _GAP else 0.0, self._mass, self._force,
-            self._now.pressure, self._inertia[phase.base], self._legs, kin.up, kin.com, kin.com_jacobian, kin.lines,
-            kin.poses, self._soles,
-        )  # fmt: skip
+        robot = kin.com, kin.com_jacobian, kin.lines, kin.poses
+        tau: Array = torques(self._table, self._u, u, passed if passed <= _GAP else 0.0, kin.up, *robot)
         self._commanded, self._u = state.time, u
         return tau
 
