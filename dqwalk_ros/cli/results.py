@@ -114,7 +114,7 @@ def write_report(
     as_json: bool = False,
     more: Sequence[Path] = (),
 ) -> None:
-    """Write a report to ``report.json`` and its figures, then print it and the names of the files.
+    """Write a report to ``report.json`` and its figures; print it, even if that fails, and the names of the files.
 
     Parameters
     ----------
@@ -138,17 +138,22 @@ def write_report(
     from dqwalk_ros.report.figures.style import save
 
     text, out = json.dumps(found, indent=2), output.folder
-    create(out)
-    write_text(out / "report.json", text + "\n", overwrite=output.force)
     files = [*more, out / "report.json"]
-    if not output.no_figures:
-        with Progress(quiet=as_json or output.quiet) as bar:
-            bar.stage(0.0, "drawing")
-            files += save(drawn, out, output.formats, overwrite=output.force)
+    try:
+        create(out)
+        write_text(out / "report.json", text + "\n", overwrite=output.force)
+        if not output.no_figures:
+            with Progress(quiet=as_json or output.quiet) as bar:
+                bar.stage(0.0, "drawing")
+                files += save(drawn, out, output.formats, overwrite=output.force)
+    finally:  # also on a full disk
+        if as_json:
+            print(text)
+        elif table and not output.quiet:
+            print(table, flush=True)
     if as_json:
-        print(text)
-    elif not output.quiet:
-        print(table and f"{table}\n", end="")
+        return
+    if not output.quiet:
         print("wrote " + ", ".join(map(str, files)))
     elif wrong := _wrong(found):
         others = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""

@@ -73,8 +73,10 @@ def simulate(config: Config, course: tuple[str, ...], plant: str, view: bool, po
 
         with Progress(quiet=output.quiet) as bar:
             trace = simulation.simulate(controller, body, progress=progress, before_step=before_step)
-        bag.write(trace, output.folder / "bag")
-        report = write_results(trace, output)
+        try:
+            bag.write(trace, output.folder / "bag")
+        finally:  # on a full disk at least the report is printed
+            report = write_results(trace, output)
         if not trace.finished:
             print(f"dqwalk: {'; '.join([*trace.notes, *why(report)[:1]])}", file=sys.stderr)
         if feed is not None:

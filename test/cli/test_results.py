@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
@@ -188,6 +189,23 @@ def test_results_are_written_before_they_are_printed(
     with pytest.raises(Closed):
         cli.main(["report", str(recorded), "--out", str(tmp_path), "--csv"])
     assert {"report.json", "series.csv", "top_view.png"} <= {file.name for file in tmp_path.iterdir()}
+
+
+@pytest.mark.usefixtures("few_figures")
+@pytest.mark.parametrize("lost", ["dqwalk_ros.report.bag.write", "dqwalk_ros.cli.results.write_text"])
+def test_a_walk_that_cannot_be_written_is_reported_all_the_same(
+    lost: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "bag")
+
+    monkeypatch.setattr(lost, full)
+    quick = {"task.eta": 2.0, "ssp.threshold": 0.02, "dsp.stall_rate": 0.005}
+    command = ["simulate", "--out", str(tmp_path), *(f"--set={key}={value}" for key, value in quick.items())]
+    assert cli.main(command) == 1
+    shown = capsys.readouterr()
+    assert "steps " in shown.out
+    assert shown.err.splitlines()[-1] == "dqwalk: No space left on device: 'bag'"
 
 
 def test_a_bag_may_be_the_present_folder(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
