@@ -373,7 +373,7 @@ def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str
 
 
 def _check_led(skeleton: Skeleton, *legs: tuple[str, ...]) -> None:
-    """Raise ModelError if a joint that carries a foot follows another joint of the legs, without which they cannot walk.
+    """Raise ModelError if legs cannot walk without a joint that carries a foot and follows another one of the legs.
 
     Both are locked: hips that yaw together, as NAO's, are not needed.
     """
