@@ -132,7 +132,7 @@ def find_anatomy(
     check_sizes(plain, shapes)
     try:
         return _anatomy(*find_pair(plain, (left, right)), forward, bool(left))
-    except NoLegsError:
+    except NoLegsError as error:
         # the root may be in a leg: which link is the root is arbitrary
         for link in _forks(plain):
             urdf.reroot(link)
@@ -143,7 +143,14 @@ def find_anatomy(
                 continue
             urdf.repairs.append(f"the root link '{root}' is in a leg: '{link}' is taken as the root")
             return found
-        raise
+        if not error.unlike:
+            raise
+        one, two, what = error.unlike
+        urdf.reroot(root)
+        shapes.forget()
+        found = _anatomy(*find_pair(Skeleton(urdf, shapes), (one, two)), forward, False)
+        unlike = Entry("symmetry of the legs", what, "an <origin> or an axis may be wrong", "guess")
+        return replace(found, evidence=(*found.evidence, unlike))
 
 
 def _forks(skeleton: Skeleton) -> list[str]:

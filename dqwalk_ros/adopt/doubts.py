@@ -135,14 +135,17 @@ def assume_masses(urdf: Urdf, shapes: Shapes) -> bool:
     volume = sum(float(solid.volume) for solid in solids.values())
     if known and (not volume or _LEAST_DENSITY < sum(known) / volume < _LARGEST_DENSITY):
         return False
+    replaced = sum(urdf.links[name].inertial.mass for name in solids)
+    scale = _DENSITY * volume / replaced if replaced else 1.0  # of a link whose shape cannot be read
     for name, link in urdf.links.items():
         part = link.inertial
-        part.mass, part.inertia = 0.0, np.zeros((3, 3))
+        part.mass, part.inertia = scale * part.mass, scale * part.inertia
         if name in solids:
             solid = solids[name]
             part.mass, part.inertia = _DENSITY * float(solid.volume), _DENSITY * np.asarray(solid.inertia)
             part.origin[:3, 3] = solid.center_mass
     if volume:
+        total = sum(link.inertial.mass for link in urdf.links.values())
         why = "no link has a mass"
         if known:
             why = (
@@ -151,7 +154,7 @@ def assume_masses(urdf: Urdf, shapes: Shapes) -> bool:
             )
         urdf.repairs.append(
             f"{why}: {_DENSITY:g} kg/m^3 within the convex hulls of their shapes are assumed, "
-            f"{_DENSITY * volume:.3g} kg in all; weigh the robot and give --set robot.mass=KG"
+            f"{total:.3g} kg in all; weigh the robot and give --set robot.mass=KG"
         )
     return True
 

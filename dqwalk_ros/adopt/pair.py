@@ -23,6 +23,8 @@ _NEAR_FLOOR = 0.03
 """Largest height of a foot above the lowest point, as a fraction of the robot's height."""
 _TOUCHES = 0.006
 """Largest difference of the lowest points of two bodies that both touch the ground, as a fraction of the height."""
+_ACROSS = 0.5
+"""Largest cosine of the axis of a toe to the way from ankle to toe, and least slope of this way to the vertical."""
 _ASYMMETRY = 0.02
 """Tolerance of the symmetry of left and right joints, as a fraction of the length of a leg."""
 _TURNED = 45.0
@@ -51,11 +53,14 @@ class NoLegsError(ModelError):
     off : float
         How far the most similar chains that reach the ground are from mirroring each other, in parts of what is
         allowed; infinite without two.
+    unlike : tuple of str
+        The last links of two chains that are near enough to be legs which are built or described unlike, and how they
+        differ; empty without such chains.
     """
 
-    def __init__(self, message: str, off: float = math.inf) -> None:
+    def __init__(self, message: str, off: float = math.inf, unlike: tuple[str, ...] = ()) -> None:
         super().__init__(message)
-        self.off = off
+        self.off, self.unlike = off, unlike
 
 
 def find_pair(plain: Skeleton, given: tuple[str, str]) -> tuple[Skeleton, tuple[str, str]]:
@@ -206,13 +211,16 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
         found = {(foot, body): _difference(skeleton, *branches(skeleton, foot, body)) for body in others}
         pairs = [pair for pair, different in found.items() if not different[1]]
     if not pairs:
-        least, what = min(found.values(), default=(math.inf, ""))
+        pair = min(found, key=lambda one: found[one], default=("", ""))
+        least, what = found.get(pair, (math.inf, ""))
         if len(long_enough) == 1 and not math.isfinite(least):
             what = f"only '{long_enough[0]}' reaches the ground"
+        alike = least < _NEARLY and _most_turned(skeleton, *branches(skeleton, *pair)) < _TURNED
         raise NoLegsError(
             f"the robot is not a biped: no two chains of joints that mirror each other reach the ground in the zero "
             f"posture ({what}){skeleton.lacking()}; name its feet with --left and --right",
             least,
+            (*(skeleton.joints[joint].child for joint in pair), what) if alike else (),
         )
     return pairs[0]
 
@@ -246,14 +254,19 @@ def _heights(skeleton: Skeleton) -> tuple[dict[str, float], float, float]:
 
 
 def _is_toe(skeleton: Skeleton, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:
-    """Return whether a body is the toe of a foot: both touch the ground, and the joint between them is low."""
+    """Return whether a body is the toe of a foot: both touch the ground, and the joint between them is low.
+
+    It is ahead of that of the foot, and turns about an axis across this way: the joint of an ankle may be as low.
+    """
     if len(skeleton.way(body)) < 2:
         return False
     foot = skeleton.way(body)[-2]
     way = skeleton.place(body) - skeleton.place(foot)
+    ahead = math.hypot(way[0], way[1])
     stands = lowest.get(foot, math.inf) < lowest[body] + _TOUCHES * height
     low = skeleton.place(body)[2] < floor + 2.0 * _NEAR_FLOOR * height
-    return bool(stands and low and math.hypot(way[0], way[1]) > 0.02 * height)
+    across = abs(skeleton.axis(body)[:2] @ way[:2]) < _ACROSS * ahead
+    return bool(stands and low and across and ahead > max(0.02 * height, _ACROSS * abs(way[2])))
 
 
 def _without_duplicates(skeleton: Skeleton, feet: list[str], height: float) -> list[str]:
@@ -282,15 +295,22 @@ def _difference(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> t
     if not lateral.any():
         return math.inf, f"'{one[-1]}' and '{two[-1]}' are not beside each other"
     worst = int(np.argmax(off > 0.99 * off.max()))  # the joints below it are as far off
-    a, b = skeleton.axis(one[worst]), skeleton.axis(two[worst])
-    image = b - 2.0 * (b @ lateral) * lateral
-    apart = math.degrees(math.acos(min(1.0, max(abs(float(a @ b)), abs(float(a @ image))))))
+    apart = _most_turned(skeleton, one[worst : worst + 1], two[worst : worst + 1], lateral)
     if off[worst] >= most and apart > _TURNED:
         return float(off[worst]) / most, (
             f"the axis of '{one[worst]}' is {apart:.0f} degrees from the mirror image of that of '{two[worst]}'"
         )
     what = f"'{one[worst]}' is {1e3 * off[worst]:.3g} mm from the mirror image of '{two[worst]}', more than "
     return float(off[worst]) / most, f"{what}{1e3 * most:.3g} mm" if off[worst] >= most else ""
+
+
+def _most_turned(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], lateral: Array | None = None) -> float:
+    """Return the largest angle of an axis to that of the other chain or to its mirror image [degrees]."""
+    lateral = mirrored(skeleton, one, two)[0] if lateral is None else lateral
+    a, b = (np.array([skeleton.axis(joint) for joint in joints]) for joints in (one, two))
+    image = b - 2.0 * np.outer(b @ lateral, lateral)
+    same = np.maximum(*(np.abs(np.sum(a * other, axis=1)) for other in (b, image)))
+    return math.degrees(math.acos(min(1.0, float(same.min()))))
 
 
 def mirrored(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> tuple[Array, Array, float]:

@@ -152,6 +152,28 @@ def test_legs_that_differ_are_refused_with_joint_and_distance(tmp_path: Path) ->
         anatomy_of(urdf)
 
 
+def test_legs_that_differ_less_are_taken_and_the_difference_is_doubted() -> None:
+    """As where an edge was picked in one leg, and another one in the other."""
+    urdf, plain = Urdf.load(SMALL), anatomy_of(Urdf.load(SMALL))
+    urdf.joints["r_knee"].origin[0, 3] += 0.01
+    found = anatomy_of(urdf)
+    assert (found.legs, found.kinds) == (plain.legs, plain.kinds)
+    (entry,) = [entry for entry in found.evidence if entry.what == "symmetry of the legs"]
+    assert entry.value == "'l_knee' is 10 mm from the mirror image of 'r_knee', more than 6 mm"
+    assert entry.confidence == "guess"
+
+
+def test_an_ankle_beside_a_shin_that_touches_the_ground_is_no_toe() -> None:
+    urdf, plain = Urdf.load(SMALL), anatomy_of(Urdf.load(SMALL))
+    for side in "lr":
+        joint = urdf.joints[f"{side}_ankle_roll"]
+        joint.origin[0, 3] += 0.02
+        for name, up in ((joint.child, 0.022), (joint.parent, -0.0132)):
+            for shape in (*urdf.links[name].collisions, *urdf.links[name].visuals):
+                shape.origin[2, 3] += up
+    assert anatomy_of(urdf).legs == plain.legs
+
+
 def test_an_axis_that_is_wrong_in_one_leg_is_named() -> None:
     urdf = Urdf.load(SMALL)
     urdf.joints["r_ankle_pitch"].axis = X
@@ -162,22 +184,23 @@ def test_an_axis_that_is_wrong_in_one_leg_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ankle", "knee", "message"),
+    ("ankle", "off", "message"),
     [
         (
             0.4,
             0.0,
             r"with \+y of its root link up it has legs that end with 'l_ankle_roll' and .*their soles lean by 23",
         ),
-        (0.0, 0.01, r"'l_knee' is 10 mm from the mirror image of 'r_knee', more than 6 mm"),
+        (0.0, 0.01, r"the axis of '._ankle_pitch' is 90 degrees from the mirror image of that of '._ankle_pitch'"),
     ],
 )
-def test_legs_that_almost_stand_with_another_axis_up_are_said(ankle: float, knee: float, message: str) -> None:
+def test_legs_that_almost_stand_with_another_axis_up_are_said(ankle: float, off: float, message: str) -> None:
     urdf = Urdf.load(SMALL)
     for side in "lr":
         joint = urdf.joints[f"{side}_ankle_pitch"]
         joint.origin = joint.origin @ at(np.zeros(3), DQ.rotation_about(ankle, Y).rotation_matrix())
-    urdf.joints["r_knee"].origin[0, 3] += knee
+    urdf.joints["r_ankle_pitch"].origin[0, 3] += off
+    urdf.joints["r_ankle_pitch"].axis = X if off else Y
     for link in urdf.links:
         moved(urdf, link, at(np.zeros(3), DQ.rotation_about(0.5 * math.pi, X).rotation_matrix()))
     with pytest.raises(ModelError, match=message):
