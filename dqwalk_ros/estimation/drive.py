@@ -238,8 +238,15 @@ def _invert(A: Array) -> None:
                 A[i] -= factor * A[j]
 
 
+@jit
 def _median(values: Array, weights: Array) -> float:
-    """Return the median of values (n,) with weights (n,)."""
-    order = np.argsort(values)
-    sums = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(sums, 0.5 * sums[-1])]])
+    """Return the median of values (n,) with weights (n,): the least one up to which there is half of the weight."""
+    median, half = math.inf, 0.5 * weights.sum()
+    for value in values:
+        below = 0.0
+        for i in range(values.shape[0]):
+            if values[i] <= value:
+                below += weights[i]
+        if below >= half:
+            median = min(median, value)
+    return median

@@ -14,19 +14,19 @@ a twentieth.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics, jacobian_column, point_at, support_tree
+from dqwalk_ros.paper.kinematics import PLACE, Kinematics, Place, jacobian_column, point_at, support_tree
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array, Mask
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.compiled import BOOLEAN, BOOLEANS, FLOAT, VECTOR, Record, jit
 
 _SMOOTH = 0.01
 """Time constant of the filter of the forces, and of that of the joint accelerations [s]."""
@@ -44,36 +44,42 @@ def share_of(foot: Foot, loads: Array) -> float:
 
 
 class _Legs(NamedTuple):
-    """Both legs, seen from a base sole.
+    """Both legs, seen from a base sole, and what is known of their joints.
 
     `right` is whether that is the right one, `pelvis` (n,) whether a joint moves the pelvis, `center` and
-    `other_center` (3,) the centres of the soles in their frames [m]; the rest is the `Place` of the other sole.
+    `other_center` (3,) the centres of the soles in their frames [m], and `other` the place of the other sole. `weight`
+    is that of the robot [N], `armature` (n,) the inertia of the rotors [kg m^2], and `acceleration` (n,) the filtered
+    one of the joints [rad/s^2].
     """
 
     right: bool
     pelvis: Mask
     center: Array
     other_center: Array
-    body: int
-    pose: Array
-    moves: Mask
+    other: Place
+    weight: float
+    armature: Array
+    acceleration: Array
 
-    @classmethod
-    def of(cls, model: RobotModel, base: Foot) -> Self:
-        """Return the legs of a robot."""
-        tree, sole, other = support_tree(model, base), model.soles[base], model.soles[base.other]
-        pelvis = tree.frames[model.pelvis].moves
-        return cls(base is Foot.RIGHT, pelvis, sole.center, other.center, *tree.frames[other.frame])
+
+_LEGS = Record(_Legs, BOOLEAN, BOOLEANS, VECTOR, VECTOR, PLACE, FLOAT, VECTOR, VECTOR)
+_opened = _LEGS.opened
 
 
 class FootLoads:
     """Estimate of the vertical forces on the soles; `update` processes one state."""
 
     def __init__(self, config: Config, model: RobotModel) -> None:
-        self._weight, self._armature = model.mass * GRAVITY, Drive.of(config, model).armature
-        self._legs = {base: _Legs.of(model, base) for base in Foot}
+        self._weight, armature = model.mass * GRAVITY, Drive.of(config, model).armature
+        acceleration, self._legs = np.zeros(model.n), {}
+        for base in Foot:
+            tree, sole, other = support_tree(model, base), model.soles[base], model.soles[base.other]
+            pelvis, place = tree.frames[model.pelvis].moves, tree.frames[other.frame]
+            given = self._weight, armature, acceleration
+            self._legs[base] = _Legs(base is Foot.RIGHT, pelvis, sole.center, other.center, place, *given)
+        self._tables = {base: _LEGS.table(legs) for base, legs in self._legs.items()}
         self._time = -math.inf
-        self._dq, self._acceleration = np.zeros((2, model.n))
+        self._dq = np.zeros(model.n)
         self._loads = np.zeros(2)
 
     def update(self, kin: Kinematics, state: State) -> Array | None:
@@ -93,8 +99,8 @@ class FootLoads:
         if state.forces is not None:
             _filter(loads, state.forces, dt, self._weight)
         elif state.effort is not None and state.dq is not None and _estimate(
-            loads, self._acceleration, self._dq, state.dq, state.effort, dt, self._weight, self._armature,
-            kin.lines, kin.com, kin.com_jacobian, kin.poses, kin.up, *self._legs[kin.base],
+            self._tables[kin.base], loads, self._dq, state.dq, state.effort, dt,
+            kin.lines, kin.com, kin.com_jacobian, kin.poses, kin.up,
         ):  # fmt: skip
             self._dq = state.dq
         else:
@@ -111,24 +117,25 @@ def _approach(dt: float) -> float:
 
 @jit
 def _estimate(
-    loads: Array, acceleration: Array, before: Array, dq: Array, effort: Array, dt: float, weight: float,
-    armature: Array, lines: Array, com: Array, J_com: Array, poses: Array, up: Array, right: bool, pelvis: Mask,
-    center: Array, other_center: Array, body: int, pose: Array, moves: Mask,
+    table: Array, loads: Array, before: Array, dq: Array, effort: Array, dt: float, lines: Array, com: Array,
+    J_com: Array, poses: Array, up: Array,
 ) -> bool:  # fmt: skip
-    """Filter the accelerations (n,) of the joints, whose velocities were `before` (n,), and the loads (2,) of the feet.
+    """Filter the accelerations of the joints, whose velocities were `before` (n,), and the loads (2,) of the feet.
 
-    Return whether all torques are finite; otherwise nothing is changed. The last arguments are those of `_Legs`.
+    Return whether all torques are finite; otherwise nothing is changed. The `table` is that of `_Legs`.
     """
+    legs = _opened(table)
+    acceleration, weight = legs.acceleration, legs.weight
     if not np.isfinite(effort).all():
         return False
     if dt == math.inf:
         acceleration[:] = 0.0
     elif dt > 0.0:
         acceleration += _approach(dt) * ((dq - before) / dt - acceleration)
-    at_other = point_at(poses, body, pose, other_center)
-    tau = effort - armature * acceleration
-    forces = _forces(lines, com, J_com, up, pelvis, moves, center, at_other, weight, tau)
-    _filter(loads, np.array([forces[1], forces[0]]) if right else forces, dt, weight)
+    at_other = point_at(poses, legs.other.body, legs.other.pose, legs.other_center)
+    tau = effort - legs.armature * acceleration
+    forces = _forces(lines, com, J_com, up, legs.pelvis, legs.other.moves, legs.center, at_other, weight, tau)
+    _filter(loads, np.array([forces[1], forces[0]]) if legs.right else forces, dt, weight)
     return True
 
 

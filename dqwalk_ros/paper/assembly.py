@@ -158,7 +158,7 @@ def _assemble(
     forward(bodies.q, tree, links, bodies.poses, bodies.lines, bodies.com, bodies.com_jacobian)
     observe(bodies, watched)
     _evaluate(bodies.q, watched.s, stack, elapsed, values)
-    J[:] = stack.gradients @ watched.J  # the chain rule: dd/dq = dd/ds ds/dq
+    np.dot(stack.gradients, watched.J, J)  # the chain rule: dd/dq = dd/ds ds/dq
     error: float = _fill(values, J, wanted, stack, form, damping, dt, velocity, numbers, shape)
     return error
 
