@@ -137,7 +137,7 @@ def pushes(
     rows = [[one.moment, round(math.degrees(one.direction), 3), one.survived, one.failed, one.reason] for one in found]
     by_moment = {_LABELS[key]: [one for one in found if one.moment == key] for key in moments}
     if bottle:
-        text = f"{table(found, f'momentum of a bottle of {bottle:g} kg')}\n\n{robocup(found, bottle, made)}"
+        text = f"{table(found, f'momentum of a bottle of {bottle:g} kg')}\n\n{_robocup(found, bottle, made)}"
         figure = pushes_figure(by_moment, f"{model.name}: largest momentum of a bottle of {bottle:g} kg survived [N s]")
     else:
         where, ceiling = link or model.pelvis, None
@@ -184,7 +184,7 @@ def table(
     return f"{head}\n\n{text}"
 
 
-def robocup(found: Sequence[Limit], bottle: float, config: Config) -> str:
+def _robocup(found: Sequence[Limit], bottle: float, config: Config) -> str:
     """Return the distances of the release and the measure M of the weaker foot, from behind and from the front."""
     from dqwalk_ros.studies.loads import ROPE, release_distance
     from dqwalk_ros.studies.pushes import robocup_measure

@@ -1,7 +1,7 @@
 """The checks of `dqwalk doctor`, whether a robot is ready to walk.
 
 Each check is a function of the configuration, the model and the messages received. It returns a text with the result,
-or raises a `Failed` that says what to do.
+or raises a `_Failed` that says what to do.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Result:
         return f"{'  ' if self.ok else '! '}{self.what:22s} {self.text}"
 
 
-class Failed(Exception):
+class _Failed(Exception):
     """A check has failed; the text is its result, and what to do."""
 
 
@@ -81,87 +81,87 @@ Check = Callable[[Config, RobotModel, Heard], str]
 
 
 def _require_heard(heard: Heard, topic: str) -> None:
-    """Raise `Failed` if a latched topic is published, but was not heard: what is not known has not been checked."""
+    """Raise `_Failed` if a latched topic is published, but was not heard: what is not known has not been checked."""
     if publishers := heard.unheard.get(topic):
-        raise Failed(
+        raise _Failed(
             f"not heard: {', '.join(publishers)} publishes {topic}, but nothing has arrived: run this command again "
             "while the machine is less busy; if that does not help, restart the node"
         )
 
 
-def check_states(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_states(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that states arrive."""
     if not heard.states:
         publishers = ", ".join(heard.publishers) or "no node"
-        raise Failed(
+        raise _Failed(
             f"none in {heard.seconds:g} s; publisher: {publishers}: start the driver, or the joint_state_broadcaster; "
             "check that ROS_DOMAIN_ID, namespace and ROS_AUTOMATIC_DISCOVERY_RANGE are the same here and there"
         )
     return f"{len(heard.states)} in {heard.seconds:g} s from {', '.join(sorted(set(heard.publishers)))}"
 
 
-def check_joint_names(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_joint_names(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that every joint of the walk is measured."""
     try:
         heard.angles(model)
     except StateError as error:
-        raise Failed(f"{error}: name the joints as {model.name} does, or lock them with robot.lock") from error
+        raise _Failed(f"{error}: name the joints as {model.name} does, or lock them with robot.lock") from error
     velocities = ros.JointReader(model.joint_names).state(heard.states[-1][0]).dq
     return f"all {model.n}" + (
         "; no measured velocities, so they are computed by differences" if velocities is None else ""
     )
 
 
-def check_rate(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_rate(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the states arrive once per dt."""
     stamps = np.unique([ros.nanoseconds(msg.header.stamp) for msg, _ in heard.states]) * 1e-9
     if len(stamps) < 10:
-        raise Failed(f"only {len(stamps)} different stamps: the plant must give each state its own stamp")
+        raise _Failed(f"only {len(stamps)} different stamps: the plant must give each state its own stamp")
     periods = np.diff(stamps)
     middle, late = float(np.median(periods)), float(np.percentile(periods, 99))
     text = f"{1.0 / middle:.1f} Hz, 99 % within {1e3 * late:.1f} ms"
     if abs(middle / config.dt - 1.0) > _RATE:
-        raise Failed(
+        raise _Failed(
             f"{text}; dt is {config.dt:g} s: set dt to {middle:.4g} {_WHERE}, or the rate of the driver to "
             f"{1 / config.dt:g}"
         )
     if late > _LATE * config.dt:
-        raise Failed(f"{text}: the bus or the machine is too slow; lower the rate and dt, give the loop a processor")
+        raise _Failed(f"{text}: the bus or the machine is too slow; lower the rate and dt, give the loop a processor")
     return text
 
 
-def check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_latency(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check the time between stamp and receipt of a state; the delay of the command adds to it in the loop."""
     ages = [1e-9 * (at - ros.nanoseconds(msg.header.stamp)) for msg, at in heard.states]
     middle, late = float(np.median(ages)), float(np.percentile(ages, 99))
     text = f"{1e3 * middle:.1f} ms old on arrival, 99 % within {1e3 * late:.1f} ms"
     if len({ros.nanoseconds(msg.header.stamp) for msg, _ in heard.states}) < 2:
-        raise Failed("unknown: set header.stamp to the time of the measurement, a new one for each state")
+        raise _Failed("unknown: set header.stamp to the time of the measurement, a new one for each state")
     if heard.simulated and abs(middle) > _BEHIND:
         return "unknown: the stamps of the simulation do not count from the time of the clock"
     if heard.simulated:
         return f"the simulation is {1e3 * middle:.1f} ms behind real time"
     if not -0.01 <= middle <= config.plant.command_timeout:
-        raise Failed(f"{text}: the clocks of two machines differ (chrony), or use_sim_time is wrong")
+        raise _Failed(f"{text}: the clocks of two machines differ (chrony), or use_sim_time is wrong")
     assumed = config.servo.assumed_latency
     if middle > 0.5 * config.dt and assumed < middle:
-        raise Failed(
+        raise _Failed(
             f"{text}; the controller assumes {1e3 * assumed:g} ms: set servo.assumed_latency {_WHERE} to the sum of "
             "this delay and the command's"
         )
     return text
 
 
-def check_rest(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_rest(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the robot stands still, and that no walk is under way."""
     _require_heard(heard, "phase")
     if heard.phase not in _AT_REST:
-        raise Failed(
+        raise _Failed(
             f"a walk is under way, phase is '{heard.phase}': end it (~/stop of the controller, or Ctrl-C), put the "
             "robot into its first pose, and run this command again"
         )
     if heard.moving:
-        raise Failed(
+        raise _Failed(
             f"{', '.join(heard.controllers) or 'a node'} publishes {VELOCITY} other than zero: stop it, and run this "
             "command again"
         )
@@ -170,68 +170,68 @@ def check_rest(config: Config, model: RobotModel, heard: Heard) -> str:
         moved = np.ptp([reader.state(msg).q for msg, _ in heard.states], axis=0)
         k = int(moved.argmax())
         if moved[k] > _MOVED:
-            raise Failed(
+            raise _Failed(
                 f"{model.joint_names[k]} moved by {moved[k]:.2f} rad in {heard.seconds:g} s: stop whatever moves the "
                 "robot, wait until it stands still, and run this command again"
             )
     return "no walk is under way"
 
 
-def check_limits(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_limits(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that every joint is inside its limits."""
     if outside := outside_limits(heard.angles(model), model, 0.01):
-        raise Failed(
+        raise _Failed(
             f"{outside} beyond a limit: calibrate the joint, or correct its sign (poppy.calibration, the URDF)"
         )
     return "all inside"
 
 
-def check_posture(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_posture(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the robot stands in the first posture of the walk."""
     off = np.abs(heard.angles(model) - model.posture(config.standing.posture))
     k = int(off.argmax())
     text = f"{model.joint_names[k]} is furthest from the first pose, {off[k]:.2f} rad"
     if off[k] > _POSTURE:
-        raise Failed(
+        raise _Failed(
             f"{text}: bring the robot there first (~/activate of poppy_driver; a trajectory with ros2_control)"
         )
     return text
 
 
-def check_soles(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_soles(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the joint angles place both soles in one plane, as on a level floor."""
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     x = DQ(kin.pose(kin.swing))
     height, lean = float(x.translation()[2]), math.acos(min(max(float(x.rotation_matrix()[2, 2]), -1.0), 1.0))
     text = f"right sole {1e3 * height:+.1f} mm and {math.degrees(lean):.1f} deg off the left one's plane"
     if abs(height) > _HEIGHT or lean > _LEVEL:
-        raise Failed(f"{text}, computed from the joint angles: calibrate the legs with both soles flat on the floor")
+        raise _Failed(f"{text}, computed from the joint angles: calibrate the legs with both soles flat on the floor")
     return text
 
 
-def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the inertial sensor is upright and at rest, in the frame of its link."""
     if not config.plant.imu:
         return "not used (plant.imu is false): no torque feed-forward, and a fall is not detected"
     if not heard.imus:
-        raise Failed(
+        raise _Failed(
             f"nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false {_WHERE}"
         )
     msg = heard.imus[-1][0]
     stamps = np.unique([ros.nanoseconds(one.header.stamp) for one, _ in heard.imus]) * 1e-9
     enough = f"its rate must be {1.0 / _SLOW:g} Hz at least"
     if len(stamps) < 2:
-        raise Failed(f"all its messages have one stamp: set header.stamp to the time of each measurement; {enough}")
+        raise _Failed(f"all its messages have one stamp: set header.stamp to the time of each measurement; {enough}")
     if not (period := float(np.median(np.diff(stamps)))) <= _SLOW:
-        raise Failed(f"it measures every {period:.3f} s: {enough}, better that of the states")
+        raise _Failed(f"it measures every {period:.3f} s: {enough}, better that of the states")
     if not ros.is_frame_of(model.imu_link, msg.header.frame_id):
-        raise Failed(
+        raise _Failed(
             f"its frame is '{shown(msg.header.frame_id)}', and robot.imu is '{model.imu_link}': they must agree"
         )
     try:
         up, gyro, _ = ros.inertial_of(msg)
     except StateError as error:
-        raise Failed(f"{error}: it must estimate an orientation (imu_filter_madgwick)") from error
+        raise _Failed(f"{error}: it must estimate an orientation (imu_filter_madgwick)") from error
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     back, right, height = kin.direction(model.imu, up)
     lean = math.acos(min(max(float(height), -1.0), 1.0))
@@ -243,18 +243,18 @@ def check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> st
         f"{math.degrees(abs(right)):.1f}), turns at {np.linalg.norm(gyro):.3f} rad/s, {pull:.2f} m/s^2"
     )
     if lean > FallWatch.upside_down:
-        raise Failed(f"{text}: {FallWatch.other_frame}")
+        raise _Failed(f"{text}: {FallWatch.other_frame}")
     if (off := math.acos(min(max(float(up @ a) / max(pull, 1e-9), -1.0), 1.0))) > _UPRIGHT and pull > 1.0:
-        raise Failed(
+        raise _Failed(
             f"{text}: its acceleration points {math.degrees(off):.0f} deg away from the vertical of its orientation: "
             "is that the inverse quaternion, or has it other axes?"
         )
     if contradiction := _turns_otherwise(heard):
-        raise Failed(f"{text}: {contradiction}")
+        raise _Failed(f"{text}: {contradiction}")
     if lean > _UPRIGHT:
-        raise Failed(f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is")
+        raise _Failed(f"{text}: it is mounted askew (the URDF's joint of '{model.imu_link}'), or the floor is")
     if np.linalg.norm(gyro) > _STILL or abs(pull - GRAVITY) > _PULL:
-        raise Failed(f"{text}: at rest it measures {GRAVITY:.2f} m/s^2 and no rotation; calibrate it, check its units")
+        raise _Failed(f"{text}: at rest it measures {GRAVITY:.2f} m/s^2 and no rotation; calibrate it, check its units")
     return text
 
 
@@ -273,45 +273,45 @@ def _turns_otherwise(heard: Heard) -> str:
     )
 
 
-def check_subscribers(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_subscribers(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that a node subscribes to the commands."""
     if not heard.subscribers:
-        raise Failed(f"no node subscribes to {VELOCITY}: start poppy_driver, drive, or a plant")
+        raise _Failed(f"no node subscribes to {VELOCITY}: start poppy_driver, drive, or a plant")
     return ", ".join(heard.subscribers)
 
 
-def check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the plant accepts commands."""
     _require_heard(heard, "plant_ready")
     if heard.ready is False:
-        raise Failed(
+        raise _Failed(
             "plant_ready is false: call ~/activate of poppy_driver, or activate the controllers that drive uses"
         )
     if heard.warning:
-        raise Failed(f"plant_warning, so ~/start is refused: {heard.warning}")
+        raise _Failed(f"plant_warning, so ~/start is refused: {heard.warning}")
     return "accepts commands" if heard.ready else "does not publish plant_ready"
 
 
-def check_diagnostics(config: Config, model: RobotModel, heard: Heard) -> str:
+def _check_diagnostics(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that no node reports an error on /diagnostics."""
     if heard.errors:
-        raise Failed("; ".join(f"{name}: {text}" for name, text in heard.errors.items()))
+        raise _Failed("; ".join(f"{name}: {text}" for name, text in heard.errors.items()))
     return "no errors" if heard.diagnosed else "not heard: no node reports on /diagnostics"
 
 
 CHECKS: dict[str, Check] = {
-    "states": check_states,
-    "joints": check_joint_names,
-    "rate": check_rate,
-    "latency": check_latency,
-    "rest": check_rest,
-    "limits": check_limits,
-    "soles": check_soles,
-    "first pose": check_posture,
-    "inertial sensor": check_inertial_sensor,
-    "commands": check_subscribers,
-    "plant": check_plant_ready,
-    "/diagnostics": check_diagnostics,
+    "states": _check_states,
+    "joints": _check_joint_names,
+    "rate": _check_rate,
+    "latency": _check_latency,
+    "rest": _check_rest,
+    "limits": _check_limits,
+    "soles": _check_soles,
+    "first pose": _check_posture,
+    "inertial sensor": _check_inertial_sensor,
+    "commands": _check_subscribers,
+    "plant": _check_plant_ready,
+    "/diagnostics": _check_diagnostics,
 }
 """All checks, in the order in which their faults are to be repaired."""
 _WITHOUT_STATES = ("states", "commands", "plant", "/diagnostics")
@@ -327,7 +327,7 @@ def examine(config: Config, model: RobotModel, heard: Heard) -> Iterator[Result]
         if usable or what in _WITHOUT_STATES:
             try:
                 result = Result(what, True, check(config, model, heard))
-            except Failed as failed:
+            except _Failed as failed:
                 result = Result(what, False, str(failed))
             yield result
             if what in ("states", "joints"):

@@ -46,7 +46,7 @@ _TINY = 1e-9
 """What is added to the sums of squares, so that a joint at rest has a solution."""
 _LEARNED = 15.0
 """Time of the walk at which the reference value of the stiffness is taken [s]."""
-DELAYED, SAGGED = 0.015, 0.88
+_DELAYED, _SAGGED = 0.015, 0.88
 """Limits of the warnings: delay beyond the assumed one [s], and ratio of the stiffness to its reference value."""
 
 
@@ -132,10 +132,10 @@ class DriveWatch:
     def warnings(self) -> list[str]:
         """Return a message for each quantity that exceeds its limit, with its value."""
         out = []
-        if self.delay > DELAYED:
+        if self.delay > _DELAYED:
             more = f"add {1e3 * self.delay:.0f} ms to servo.assumed_latency"
             out.append(f"the drive is {1e3 * self.delay:.0f} ms later than servo.assumed_* say; {more}")
-        if (ratio := self.stiffness / self._reference) < SAGGED:
+        if (ratio := self.stiffness / self._reference) < _SAGGED:
             out.append(f"the servos have {100.0 * ratio:.0f} % of the stiffness of the beginning")
         return out
 

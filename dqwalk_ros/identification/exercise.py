@@ -34,7 +34,7 @@ from dqwalk_ros.walks.following import minimum_jerk
 NAME = f"{__name__}:Exercise"
 """Value of ``gait.walk`` for an exercise."""
 
-SLOT = 20.0
+_SLOT = 20.0
 """Duration of the exercise of one joint, including the motion to its posture [s]."""
 _WAY, _REST = 2.5, 0.5
 """Duration of the motion to a posture, and of the rest there [s]."""
@@ -258,7 +258,7 @@ class _Clearance:
 
 def _motion(sweep: float) -> Array:
     """Return the motion of a joint relative to its posture, sampled as the path, shape (m,) [rad]."""
-    left = SLOT - _WAY - _REST
+    left = _SLOT - _WAY - _REST
     slow = _triangle(sweep, 0.36 * left)
     short = np.concatenate([_triangle(min(_REVERSAL, sweep), 0.05 * left)] * 2)
     heights = [height for size in _STEPS for height in (size, 0.0, -size, 0.0)]
@@ -291,7 +291,7 @@ def duration(model: RobotModel, cycles: int) -> float:
 def path_of(model: RobotModel, cycles: int) -> Array:
     """Return the angles (m, n) of all joints, sampled every 5 ms, all zero at the beginning [rad]."""
     each = slots(model, cycles)
-    size = round(SLOT / _GRID)
+    size = round(_SLOT / _GRID)
     way = np.array([minimum_jerk(s)[0] for s in np.linspace(0.0, 1.0, round(_WAY / _GRID))])
     out = np.zeros((max(map(len, each)) * size + size // 4, model.n))
     for limb, in_order in zip(limbs(model), each, strict=True):

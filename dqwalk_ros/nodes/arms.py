@@ -20,7 +20,7 @@ from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.walks.arms import Arms
 from dqwalk_ros.walks.stepping import SteppingWalk
 
-TRAJECTORY = "arm_trajectory"
+_TRAJECTORY = "arm_trajectory"
 
 
 class ArmInput:
@@ -39,7 +39,7 @@ class ArmInput:
     ) -> None:
         self._node, self._controller, self._odometry, self._time_of = node, controller, odometry, time_of
         self._rejected: Counter[str] = Counter()
-        node.listen(JointTrajectory, TRAJECTORY, partial(self._take, TRAJECTORY, self._follow), 10)
+        node.listen(JointTrajectory, _TRAJECTORY, partial(self._take, _TRAJECTORY, self._follow), 10)
         for side in self._arms.hands:
             reach = partial(self._reach, side)
             node.listen(PoseStamped, f"{side}_hand_target", partial(self._take, f"{side}_hand_target", reach), 1)

@@ -68,7 +68,7 @@ class WalkTime:
             self._far = stamp
 
 
-class RobotStates:
+class _RobotStates:
     """Tells the robot's messages of joint_states from those of a gripper: the commands name the joints of the robot."""
 
     _HEAD, _MOST = slice(12, 200), 100
@@ -153,7 +153,7 @@ class Recorder(WalkNode):
         self._last = dict.fromkeys(_EACH_TICK, -1)
         self._last_raw: dict[str, bytes] = {}
         self._missing = dict.fromkeys(_EACH_TICK, 0)
-        self._time, self._robot = WalkTime(), RobotStates()
+        self._time, self._robot = WalkTime(), _RobotStates()
         self._early: list[tuple[str, bytes]] = []  # messages before the first stamp
         self._handled = self._handled_before = 0  # number of messages, now and at the last check of `is_drained`
         self._stop_at = float("inf")

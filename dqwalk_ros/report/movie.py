@@ -53,7 +53,7 @@ def frames(trace: Trace, times: Array, width: int, height: int, progress: Progre
     pelvis = pelvis_in_odom(trace) if trace.physics is None else trace.physics.pelvis
     known = np.flatnonzero(np.isfinite(pelvis).all(axis=1))
     starts = np.array([record.time for record in trace.phases])
-    with Camera(trace.config, trace.model, width, height) as camera:
+    with _Camera(trace.config, trace.model, width, height) as camera:
         for k, time in enumerate(times):
             tick = known[min(int(np.searchsorted(trace.time[known], time)), len(known) - 1)]
             picture = Image.fromarray(camera.picture(trace.q[tick], pelvis[tick]))
@@ -122,7 +122,7 @@ def save_strip(
 # ---------------------------------------------------------------------- pictures
 
 
-class Camera:
+class _Camera:
     """A camera beside the robot that moves forward with it; a context manager.
 
     Parameters

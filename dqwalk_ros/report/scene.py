@@ -35,8 +35,8 @@ from dqwalk_ros.support.errors import ModelError
 from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.table import make_walk
 
-Rgba = tuple[float, float, float, float]
-_GREY: Rgba = (0.7, 0.72, 0.75, 1.0)
+_Rgba = tuple[float, float, float, float]
+_GREY: _Rgba = (0.7, 0.72, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class BodyShape:
     kind: str
     size: tuple[float, ...]
     pose: Array
-    color: Rgba
+    color: _Rgba
     vertices: Array | None = None
     faces: NDArray[np.int64] | None = None
 

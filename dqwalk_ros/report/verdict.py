@@ -31,15 +31,15 @@ from dqwalk_ros.support.arrays import Array
 
 TILT = np.radians(2.0)
 """Largest tilt of the more loaded sole [rad]."""
-COP_INSIDE = 0.99
+_COP_INSIDE = 0.99
 """Smallest fraction of the ticks on which the centre of pressure is inside the phase's support soles."""
-LANDING = 0.011
+_LANDING = 0.011
 """Largest landing error in physics, as a fraction of the CoM's height: 5 mm for Poppy."""
-GROUND_TOLERANCE = 2e-5
+_GROUND_TOLERANCE = 2e-5
 """Largest height of the end foot's tip after it has come down [m]; the paper reports 1e-5 due to discretisation."""
-LANDING_TOLERANCE = 2.1
+_LANDING_TOLERANCE = 2.1
 """Largest landing error [m] per unit of `ssp.threshold`: ||vec8|| of a pure translation t is |t| / 2."""
-UNIT_TOLERANCE = 1e-12
+_UNIT_TOLERANCE = 1e-12
 """Largest error of the norm of a pose."""
 
 
@@ -201,7 +201,7 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
             yield _broken(series, f"eta/{what}", tick, held, -tolerance, text, name)
     if span.double:
         height, tick = _settled_height(series, span)
-        allowed = max(GROUND_TOLERANCE, tolerance)
+        allowed = max(_GROUND_TOLERANCE, tolerance)
         if height is not None and abs(height) > allowed:
             text = f"the end foot's tip is {1e3 * height:.3f} mm off the ground"
             yield _broken(series, "ground", tick, height, allowed, text, name)
@@ -224,7 +224,7 @@ def _of_an_ending(series: Series, span: Span, ending: Ending) -> Iterator[Violat
     if lands:
         miss = _landing(span, ending)["error"]
         physics = not paper and series.ground is not None
-        allowed = LANDING * float(series.com[0, 2]) if physics else LANDING_TOLERANCE * threshold
+        allowed = _LANDING * float(series.com[0, 2]) if physics else _LANDING_TOLERANCE * threshold
         if miss > allowed:
             why = f": {span.record.decision}" if span.record.decision else ""
             text = f"landed {1e3 * miss:.2f} mm from its target, {1e3 * allowed:.2f} mm are allowed{why}"
@@ -244,8 +244,8 @@ def _of_the_walk(series: Series) -> Iterator[Violation]:
         if least < -tolerance:
             text = f"{name} is {-least:.3g} rad beyond its limit at {time:.3f} s"
             yield Violation(f"joint/{name}", "", time, least, -tolerance, text)
-    if (error := _unit_norm_error(series)) > UNIT_TOLERANCE:
-        yield Violation("unit_norm", "", end, error, UNIT_TOLERANCE, f"norm of a pose is off by {error:.2g}")
+    if (error := _unit_norm_error(series)) > _UNIT_TOLERANCE:
+        yield Violation("unit_norm", "", end, error, _UNIT_TOLERANCE, f"norm of a pose is off by {error:.2g}")
 
 
 def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
@@ -262,10 +262,10 @@ def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
         text = f"the support sole is tilted by {np.degrees(of.tilt[tick]):.2f} degrees"
         yield _broken(series, "tilt", tick, float(of.tilt[tick]), float(TILT), text)
     inside = of.inside
-    if inside is not None and inside < COP_INSIDE:
+    if inside is not None and inside < _COP_INSIDE:
         text = f"the centre of pressure is inside the support polygon on {100 * inside:.2f} % of ticks only"
         tick = int(np.argmin(np.nan_to_num(of.cop_margin, nan=-1.0)))
-        yield Violation("cop", "", float(series.time[tick]), inside, COP_INSIDE, text)
+        yield Violation("cop", "", float(series.time[tick]), inside, _COP_INSIDE, text)
 
 
 def _unit_norm_error(series: Series) -> float:

@@ -34,7 +34,7 @@ from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, make_walk, refuse_endless, walk_type
 
-CONFIDENCE = 0.95
+_CONFIDENCE = 0.95
 """Probability with which the bounds of `bounds` contain the true chance."""
 _REACH = 1.0
 """Largest distance of an arm's joint from its posture at the random poses of its hand [rad]."""
@@ -350,9 +350,9 @@ def ceilings(rows: Mapping[str, Row]) -> dict[str, str]:
 def bounds(count: int, total: int) -> tuple[float, float]:
     """Return the bounds of the chance of an event that happened `count` times in `total`, both in [0, 1].
 
-    They contain the true chance with at least `CONFIDENCE`, whatever it is (Clopper and Pearson 1934).
+    They contain the true chance with at least `_CONFIDENCE`, whatever it is (Clopper and Pearson 1934).
     """
     from scipy.stats import binomtest
 
-    found = binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
+    found = binomtest(count, total).proportion_ci(_CONFIDENCE, method="exact")
     return float(found.low), float(found.high)

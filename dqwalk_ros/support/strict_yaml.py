@@ -13,7 +13,7 @@ import yaml
 
 from dqwalk_ros.support.errors import ConfigError
 
-MAX_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 """Largest size of a file."""
 _MOST_NESTED = 50
 """Largest depth of nested lists and dictionaries; the parser itself would overflow the stack."""
@@ -67,13 +67,13 @@ def read_text(path: str | os.PathLike[str]) -> str:
     """
     try:
         with open(path, encoding="utf-8") as file:
-            text = file.read(MAX_BYTES + 1)
+            text = file.read(_MAX_BYTES + 1)
     except UnicodeDecodeError as error:
         raise ConfigError(f"cannot read '{path}': it is not a text in UTF-8 (byte {error.start})") from error
     except OSError as error:
         raise ConfigError(f"cannot read '{path}': {error}") from error
-    if len(text) > MAX_BYTES:
-        raise ConfigError(f"{path}: longer than {MAX_BYTES >> 20} MiB")
+    if len(text) > _MAX_BYTES:
+        raise ConfigError(f"{path}: longer than {_MAX_BYTES >> 20} MiB")
     return text
 
 
@@ -85,8 +85,8 @@ def read(text: str, *, source: str = "text") -> Any:
     ConfigError
         If the text is not YAML, or has an anchor, a merge key or a duplicate key; the message names the line.
     """
-    if len(text) > MAX_BYTES:
-        raise ConfigError(f"{source}: longer than {MAX_BYTES >> 20} MiB")
+    if len(text) > _MAX_BYTES:
+        raise ConfigError(f"{source}: longer than {_MAX_BYTES >> 20} MiB")
     if _NO_TEXT.search(text):  # bytes of a command line that are not of its encoding
         raise ConfigError(f"{source}: it is not a text in UTF-8; is the locale of this terminal right (LANG)?")
     try:

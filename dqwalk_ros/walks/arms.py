@@ -41,7 +41,7 @@ _FREE = 0.5
 _PATIENCE = 2.0
 """Time without progress after which an arm has stopped short of where it was sent [s]."""
 _NEAR = 0.005, 0.02
-"""Least progress of a hand [m] and of a joint [rad] towards where it was sent (`Approach.enough`)."""
+"""Least progress of a hand [m] and of a joint [rad] towards where it was sent (`_Approach.enough`)."""
 _SPEEDS = "arms.joint_speed, joints.velocity, or the joint's own"
 """What limits the speed of an arm's joint."""
 _UNPROTECTED = (
@@ -153,7 +153,7 @@ def _cubic(h: float, way: float, begin: float, end: float) -> tuple[float, float
 
 
 @dataclass
-class Approach:
+class _Approach:
     """Whether something comes closer to where it was sent.
 
     Attributes
@@ -177,7 +177,7 @@ class Approach:
 
 
 @jit
-def hand_in_trunk(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+def _hand_in_trunk(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
     """Return the error (9,) of a hand in its trunk [m], its gradient (9, 21), and minus the rate of the target (9,).
 
     `s` (21,) are position and first two axes of the hand, origin and axes l_k of the trunk. The errors are
@@ -209,13 +209,13 @@ class HandInTrunk(Live, Task):
     hand, trunk : str
         Links.
     numbers : ndarray, shape (14,)
-        Parameters of `hand_in_trunk`.
+        Parameters of `_hand_in_trunk`.
     """
 
     hand: str
     trunk: str
     numbers: Array
-    function = hand_in_trunk
+    function = _hand_in_trunk
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -240,7 +240,7 @@ class Hand:
     since : float
         Time of the first state after the command [s].
     numbers : ndarray, shape (14,)
-        Parameters of `hand_in_trunk`.
+        Parameters of `_hand_in_trunk`.
     """
 
     link: str
@@ -331,7 +331,7 @@ class Arms:
         self._time, self._q = math.nan, self._posture  # of the last state [s, rad]
         self._given_up = set[int]()  # joints that hold still, by the place in `names`
         self._pressed, self._rows = math.nan, ""  # when and by which rows an arm was last kept from the body [s]
-        self._approaches: dict[str, Approach] = {}  # of hands and joints with a command
+        self._approaches: dict[str, _Approach] = {}  # of hands and joints with a command
         self._news = [] if self._apart else [_UNPROTECTED]
         size = len(self._joints)
         self._numbers = {foot: np.zeros(size * (model.n + 5)) for foot in Foot}
@@ -396,7 +396,7 @@ class Arms:
             if path.times[0] > 0.0:
                 path = _from_here(path, float(kin.q[self._joints[place]]))
             self._paths[place] = path, time if begin is None else begin
-            self._approaches[self.names[place]] = Approach(_NEAR[1])
+            self._approaches[self.names[place]] = _Approach(_NEAR[1])
         self._asked = []
         q, dq, swing, factor = self._posture.copy(), np.zeros(len(self._joints)), self._swing, np.ones(len(self.names))
         for place, (path, begin) in list(self._paths.items()):
@@ -451,7 +451,7 @@ class Arms:
         self._given_up |= {*arm.tolist()}
         for one in arm.tolist():
             self._paths[one] = JointPath(np.zeros(1), self._q[[one]]), self._time
-            self._approaches[self.names[one]] = Approach(_NEAR[1])
+            self._approaches[self.names[one]] = _Approach(_NEAR[1])
         self._news.append(
             f"{self.names[place[0]]} does not follow: its arm holds still where it is; something blocks it"
         )
@@ -625,7 +625,7 @@ class Arms:
         elif pose is not None and self._base is None:
             raise StateError("the walk has not begun, so it has no place on the ground")
         hand.pose, hand.fixed, hand.since = pose, not frame, math.nan
-        self._approaches[f"the {side} hand"] = Approach(_NEAR[0])
+        self._approaches[f"the {side} hand"] = _Approach(_NEAR[0])
         self._release(hand.joints)
 
     def _end_poses(self, places: Iterable[int]) -> None:

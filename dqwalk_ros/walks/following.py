@@ -41,7 +41,7 @@ def com_path(s: Array, start: Array, elapsed: float, duration: float) -> tuple[A
 
 
 @jit
-def com_from_path(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+def _com_from_path(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
     """Return the offset (2,) of the CoM from its path [m], its gradient, and minus the velocity of the path (2,) [m/s].
 
     `s` are the coordinates as in `com_path`, and `a` (3,) the parameters of `ComPath`. The gradient neglects the motion
@@ -72,7 +72,7 @@ class ComPath(Task):
     start: Array
     over: tuple[Point, ...]
     duration: float
-    function = com_from_path
+    function = _com_from_path
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -107,7 +107,7 @@ def _swing_path(a: Array, elapsed: float) -> tuple[Array, Array, Array]:
 
 
 @jit
-def sole_from_path(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+def _sole_from_path(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
     """Return the error (6,) of a sole from its path [m], its gradient, and minus the velocity of the path (6,) [m/s].
 
     `s` (7,) are the coordinates of the sole, and `a` (16,) the parameters of `SwingPath`. Angles are times the lever.
@@ -143,7 +143,7 @@ class SwingPath(Task):
     height: float
     duration: float
     lever: float
-    function = sole_from_path
+    function = _sole_from_path
 
     def at(self, elapsed: float) -> tuple[Array, Array]:
         """Return place (3,) [m] and velocity, linear and angular, (6,) of the path `elapsed` [s] after its start."""
@@ -265,7 +265,7 @@ class AtRest(Affine, Task):
 
 
 @jit
-def frame_from_target(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+def _frame_from_target(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
     """Return the pose error (6,) [m], its gradient, and minus the velocity of the target (6,) [m/s].
 
     `s` (7,) are the coordinates of the frame, and `a` (14,) the parameters of `FollowPose`. Angles are times the lever.
@@ -292,7 +292,7 @@ class FollowPose(Task):
     frame: str
     target: Target
     lever: float
-    function = frame_from_target
+    function = _frame_from_target
 
     @property
     def watches(self) -> tuple[Feature, ...]:

@@ -22,7 +22,7 @@ from dqwalk_ros.whole_body.hierarchy import BALANCE, LAW, LIMIT, Hierarchy
 from dqwalk_ros.whole_body.objectives import Distance, Objective
 from dqwalk_ros.whole_body.preview import PointMass, Preview, Swing, swing_acceleration, swing_jerk
 
-FACES = 4
+_FACES = 4
 """Number of edges of the friction pyramid."""
 _FAR = 500.0
 """Largest bound of the joint accelerations [rad/s^2]."""
@@ -51,21 +51,21 @@ class Layout:
     @property
     def size(self) -> int:
         """Number of variables."""
-        return self.nv + self.contacts * (FACES + 3) + 2 * self.preview
+        return self.nv + self.contacts * (_FACES + 3) + 2 * self.preview
 
     @property
     def wrenches(self) -> slice:
         """Indices of (lambda, mu) of all contacts."""
-        return slice(self.nv, self.nv + self.contacts * (FACES + 3))
+        return slice(self.nv, self.nv + self.contacts * (_FACES + 3))
 
     def force(self, contact: int) -> slice:
         """Return the indices of lambda of a contact."""
-        at = self.nv + contact * (FACES + 3)
-        return slice(at, at + FACES)
+        at = self.nv + contact * (_FACES + 3)
+        return slice(at, at + _FACES)
 
     def moment(self, contact: int) -> slice:
         """Return the indices of mu of a contact."""
-        at = self.nv + contact * (FACES + 3) + FACES
+        at = self.nv + contact * (_FACES + 3) + _FACES
         return slice(at, at + 3)
 
     def y(self, axis: int) -> slice:
@@ -157,9 +157,9 @@ class _Rows:
 
 @cache
 def friction_edges(mu: float) -> Array:
-    """Return G of (S4): unit vectors along the edges of the friction pyramid, shape (3, FACES)."""
-    angle = 2.0 * math.pi * np.arange(FACES) / FACES + 0.25 * math.pi
-    G = np.stack([mu * np.cos(angle), mu * np.sin(angle), np.ones(FACES)])
+    """Return G of (S4): unit vectors along the edges of the friction pyramid, shape (3, _FACES)."""
+    angle = 2.0 * math.pi * np.arange(_FACES) / _FACES + 0.25 * math.pi
+    G = np.stack([mu * np.cos(angle), mu * np.sin(angle), np.ones(_FACES)])
     unit: Array = G / np.linalg.norm(G, axis=0)
     return unit
 

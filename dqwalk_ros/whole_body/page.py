@@ -53,7 +53,7 @@ def write(
         f"{table(('', ''), parameters)}</details>",
         origin_table([(name, walked.origin)]),
     ]
-    write_page(path, name, parts, [body_replay_data(walked)], overwrite=overwrite)
+    write_page(path, name, parts, [_body_replay_data(walked)], overwrite=overwrite)
 
 
 def _heading(name: str, w: WholeBodyTrace, broken: int) -> str:
@@ -82,7 +82,7 @@ def _checks(found: Sequence[Demand]) -> str:
     return table(("", "required", "result", "authors", ""), rows, (2, 3))
 
 
-def body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
+def _body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
     """Return plain data for `replay.js`, as `replay_data` does for a walk of phases."""
     model, rows, began = walked.model, frames_of(walked.time), float(walked.time[0])
     stepping = Stepping.of(walked.config)

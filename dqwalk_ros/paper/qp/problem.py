@@ -20,11 +20,11 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import QPError
 
-PRIMAL = 1e-7
+_PRIMAL = 1e-7
 """Largest scaled violation of a row that is accepted."""
-LEAST_SCALE = 1e-9
+_LEAST_SCALE = 1e-9
 """Least scale s [rad/s]: shorter steps are rounding errors."""
-OPTIMAL = 1e-7
+_OPTIMAL = 1e-7
 """Largest relative residual of the other Karush-Kuhn-Tucker conditions that is accepted."""
 
 
@@ -246,7 +246,7 @@ def scale(numbers: Array, shape: Shape) -> tuple[float, float]:
     s = max(math.sqrt(c @ c) / curvature, required)
     if not math.isfinite(numbers.sum()):
         return math.nan, curvature
-    return max(s, LEAST_SCALE), curvature
+    return max(s, _LEAST_SCALE), curvature
 
 
 @jit
@@ -297,12 +297,12 @@ def check(problem: Problem, stationarity: float, primal: float, dual: float, com
     QPError
         If it violates a row, or another of the Karush-Kuhn-Tucker conditions.
     """
-    if not primal <= PRIMAL:
+    if not primal <= _PRIMAL:
         name = problem.names[row] if problem.names else str(row)
         text = f"the solution violates the row '{name}' by {primal:.3g} (scaled)"
         raise QPError(text, status="Violated", rows=[name])
     other = max(stationarity, dual, complementarity)
-    if not other <= OPTIMAL:
+    if not other <= _OPTIMAL:
         raise QPError(f"the solution is not optimal: relative residual {other:.3g}", status="NotOptimal")
 
 

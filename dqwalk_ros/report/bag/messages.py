@@ -29,7 +29,7 @@ Messages = tuple[str, Stamps, list[bytes]]
 NS = 1_000_000_000
 """Nanoseconds per second."""
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-LEVELS = ("OK", "WARN", "ERROR", "STALE")
+_LEVELS = ("OK", "WARN", "ERROR", "STALE")
 """Levels of diagnostic_msgs/DiagnosticStatus [REP-107]."""
 _ALL_BITS = float(np.frombuffer(b"\xff" * 8)[0])  # a nan of which every bit is set
 
@@ -113,7 +113,7 @@ def diagnostics(stamp: int, name: str, hardware: str, level: str, message: str, 
     ]
     status = new(
         "diagnostic_msgs/msg/DiagnosticStatus",
-        level=LEVELS.index(level),
+        level=_LEVELS.index(level),
         name=name,
         message=message,
         hardware_id=hardware,
@@ -433,7 +433,7 @@ def diagnostics_of(source: Source) -> list[Status]:
             except BagError:
                 continue
             for status in array.status:
-                level = LEVELS[min(int(status.level), len(LEVELS) - 1)]
+                level = _LEVELS[min(int(status.level), len(_LEVELS) - 1)]
                 solved = next((pair.value for pair in status.values if pair.key == "solve time"), "nan")
                 out.append(Status(time / NS, status.name, level, status.message, _number(solved)))
     return sorted(out, key=lambda status: status.time)

@@ -89,7 +89,7 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
                 f"'{path}': {name} at {time:.3f} s cannot stand on the {base.value} foot: messages of phase, "
                 "phase_start or swing_target are missing or in another order"
             )
-        if kind is PhaseKind.SINGLE_SUPPORT and not (target is not None and is_pose(target)):
+        if kind is PhaseKind.SINGLE_SUPPORT and not (target is not None and _is_pose(target)):
             bag.notes.append(f"the swing target of {name} at {time:.3f} s is missing: its states are left out")
             target = np.full(8, np.nan)
         why = decisions.get(stamp, "")
@@ -99,7 +99,7 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
 
 def judged(begun: Mapping[int, PhaseRecord], stamps: Stamps) -> NDArray[np.bool_]:
     """Return which states, none of which is older than the first phase, are not of a phase without its swing target."""
-    whole = np.array([record.swing_target is None or is_pose(record.swing_target) for record in begun.values()])
+    whole = np.array([record.swing_target is None or _is_pose(record.swing_target) for record in begun.values()])
     found: NDArray[np.bool_] = whole[np.searchsorted(np.array([*begun]), stamps, side="right") - 1]
     return found
 
@@ -118,7 +118,7 @@ def is_last(bag: Recording, begun: Mapping[int, PhaseRecord], stamp: int, q: Arr
     record = dataclasses.replace(begun[began], config=_config_at(bag, began))
     whole = 0 < walk_type(bag.config).phases(bag.config) <= len(begun)
     transfers = record.kind is PhaseKind.DOUBLE_SUPPORT  # which always leads to another phase
-    if not whole or transfers or stamp <= began or not (record.swing_target is None or is_pose(record.swing_target)):
+    if not whole or transfers or stamp <= began or not (record.swing_target is None or _is_pose(record.swing_target)):
         return False
     phase, elapsed = record.phase(bag.config, bag.model), (stamp - began) / NS
     try:
@@ -219,7 +219,7 @@ def _guessed(kin: Kinematics, swing: Array | None, place: _Target | None) -> _Na
     return kinds[int(np.argmin(off))], kin.base.other
 
 
-def is_pose(x: Array) -> bool:
+def _is_pose(x: Array) -> bool:
     """Return whether (8,) is a unit dual quaternion with a plausible position."""
     return bool(np.isfinite(x).all() and abs(np.linalg.norm(x[:4]) - 1.0) < 1e-6 and np.abs(x[4:]).max() < FARTHEST)
 
@@ -243,7 +243,7 @@ def _targets(column: Column | None) -> dict[int, _Target]:
 def _first_base(bag: Recording, stamp: int, start: PhaseRecord) -> Array:
     """Return the pose of the first phase's base sole in odom: the origin, unless the recording started later."""
     (recorded,) = pose_of(aligned(bag.columns.get("base_pose"), np.array([stamp]), 7))
-    if not is_pose(recorded):
+    if not _is_pose(recorded):
         return start.x_odom_base
     x = (DQ(recorded) * DQ(Kinematics(bag.model, start.q_start, start.base).pose(bag.model.pelvis)).conj()).vec8()
     one = start.x_odom_base
@@ -264,7 +264,7 @@ def records(bag: Recording, starts: Mapping[int, PhaseRecord], stamps: Stamps, e
             step = Kinematics(model, start.q_start, out[-1].base).pose(model.soles[start.base].frame)
             x_odom_base = (DQ(x_odom_base) * DQ(step)).vec8()
         tick, time = int(np.searchsorted(stamps, stamp)), (stamp - epoch) / NS
-        whole = start.swing_target is None or is_pose(start.swing_target)
+        whole = start.swing_target is None or _is_pose(start.swing_target)
         if tick == len(stamps) and not whole:
             break
         if tick == len(stamps):

@@ -23,7 +23,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ViewerError
 from dqwalk_ros.walks.table import walk_type
 
-PORT = 8080
+_PORT = 8080
 """Default port; if it is in use, the next free one."""
 FRAME = 1.0 / 30.0
 """Period of the frames [s]."""
@@ -48,7 +48,7 @@ class Page:
     Parameters
     ----------
     port : int or None
-        None: the first free one from `PORT` on; 0: any.
+        None: the first free one from `_PORT` on; 0: any.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Page:
     def __init__(self, port: int | None) -> None:
         if port is not None and not 0 <= port <= 65535:
             raise ViewerError(f"there is no port {port}; ports are 0 to 65535, 0 for any")
-        wanted = PORT if port is None else port
+        wanted = _PORT if port is None else port
         with contextlib.redirect_stdout(io.StringIO()), guarded():  # viser prints a banner
             self.server = viser.ViserServer(host=HOST, port=wanted, label="dqwalk", verbose=False)
         if port and self.server.get_port() != port:  # viser takes the next free one
