@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import errno
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, TYPES, VOLTAGE, FaultyServos, Memory
 from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
-from dqwalk_ros.plants.poppy.dynamixel import GAINS, GOAL, LIMITS, TORQUE_ENABLE, TORQUE_LIMIT, DynamixelBus, open_port
+from dqwalk_ros.plants.poppy.dynamixel import (
+    GAINS,
+    GOAL,
+    LIMITS,
+    TORQUE_ENABLE,
+    TORQUE_LIMIT,
+    DynamixelBus,
+    find_port,
+    open_port,
+)
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo
 from dqwalk_ros.plants.poppy.plant import open_buses
 from dqwalk_ros.support.errors import PlantError
@@ -603,3 +614,34 @@ def test_a_port_whose_buffer_is_full_takes_no_bytes() -> None:
         os.close(there)
     assert taken[0] == 1000
     assert taken[-1] == 0
+
+
+def test_a_search_says_why_each_port_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One port is silent, one is in use by a bus, of one the user has no rights: a Poppy's first start."""
+    import serial
+    from serial.tools import list_ports
+
+    ends = [os.openpty() for _ in range(2)]
+    silent, used = (os.ttyname(there) for _, there in ends)
+    plain = serial.Serial
+
+    def opened(name: str, *given: object, **named: object) -> object:
+        if name == "/dev/denied":
+            raise serial.SerialException(errno.EACCES, f"could not open port {name}")
+        return plain(name, *given, **named)
+
+    monkeypatch.setattr(serial, "Serial", opened)
+    monkeypatch.setattr(
+        list_ports, "comports", lambda: [SimpleNamespace(device=n) for n in (silent, used, "/dev/denied")]
+    )
+    port = open_port(used)
+    try:
+        with pytest.raises(PlantError) as error:
+            find_port([11, 12])
+    finally:
+        port.closePort()
+        for end in ends:
+            for one in end:
+                os.close(one)
+    wanted = [f"no port with the motors 11, 12 ({silent}: none of them answers", f"{used}: it is in use already"]
+    assert all(one in str(error.value) for one in [*wanted, "/dev/denied: no permission: sudo usermod -aG dialout"])

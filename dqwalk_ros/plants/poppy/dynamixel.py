@@ -10,6 +10,7 @@ Registers and units: emanual.robotis.com, MX-28, MX-64 and AX-12 (protocol 1).
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -63,6 +64,12 @@ _GIVE_UP: Final = 3
 """Number of consecutive servos without an answer after which a cycle is aborted."""
 _REOPEN: Final = 1.0
 """Time between two attempts to open a port again [s]."""
+_REFUSED: Final = {
+    errno.EACCES: "no permission: sudo usermod -aG dialout $USER, then log in again",
+    errno.EAGAIN: "it is in use already",
+    errno.EBUSY: "it is in use already",
+}
+"""Why a port cannot be opened, by the number of the error."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +175,10 @@ def open_port(name: str) -> Any:
             return b"" if over or length <= 0 else self.ser.read(length)
 
     port = Port(name)
-    port.openPort()
+    try:
+        port.openPort()
+    except OSError as error:
+        raise OSError(f"{name}: {_REFUSED.get(error.errno or 0, str(error))}") from error
     return port
 
 
@@ -183,18 +193,21 @@ def find_port(ids: Sequence[int]) -> str:
     from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
     from serial.tools.list_ports import comports
 
-    handler, found = Protocol1PacketHandler(), {}
+    handler, found = Protocol1PacketHandler(), dict[str, int]()
+    refused: list[str] = []
     for candidate in comports():
         try:
             port = open_port(candidate.device)
             found[candidate.device] = sum(handler.ping(port, i)[1] == COMM_SUCCESS for i in ids)
             port.closePort()
-        except OSError:
-            continue
+        except OSError as error:
+            refused.append(str(error))
     best = max(found, key=lambda name: found[name], default="")
     if not best or not found[best]:
-        searched = ", ".join(found) or "no serial port"
-        raise PlantError(f"no port with the motors {', '.join(map(str, ids))} (searched: {searched})")
+        searched = [*(f"{name}: none of them answers" for name in found), *refused]
+        raise PlantError(
+            f"no port with the motors {', '.join(map(str, ids))} ({'; '.join(searched) or 'no serial port'})"
+        )
     return best
 
 
