@@ -12,6 +12,7 @@ file::
 
 from __future__ import annotations
 
+from dqwalk_ros.config.configuration import Config
 from dqwalk_ros.config.files import (
     OF_RCLPY,
     SHIPPED,
@@ -33,7 +34,6 @@ from dqwalk_ros.config.files import (
 )
 from dqwalk_ros.config.schema import Spec, Value
 from dqwalk_ros.config.sections import (
-    Config,
     DynamicConfig,
     GaitConfig,
     MonitorConfig,

@@ -14,8 +14,8 @@ from typing import Any
 
 import yaml
 
+from dqwalk_ros.config.configuration import Config
 from dqwalk_ros.config.schema import Value
-from dqwalk_ros.config.sections import Config
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, listed, missing
 from dqwalk_ros.support.node_table import NODES

@@ -1,17 +1,11 @@
-"""Every parameter of the package: its default, unit, meaning and bounds, in one line of a section."""
+"""Every parameter of a section: its default, unit, meaning and bounds, in one line."""
 
 from __future__ import annotations
 
-import dataclasses
-import functools
-import logging
-import operator
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
-from dqwalk_ros.config.schema import Spec, Value, checked, parameter, specs_of
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.config.schema import parameter
 
 ZERO = (0.0, 0.0, 0.0)
 
@@ -618,75 +612,3 @@ class PoppyConfig:
     max_load: float = parameter(95.0, "load that counts as blocked after `blocked_after`", "%", 10.0, 1000.0)
     blocked_after: float = parameter(1.0, "longest time off the goal; larger: more tolerant", "s", 0.1, 60.0)
     torque_off_at_end: bool = parameter(False, "switch the torque off at the end; false: hold the position")
-
-
-@dataclass(frozen=True)
-class Config:
-    """All parameters of a walk."""
-
-    dt: float = parameter(
-        0.005, "control period, and step of the Euler integration; smaller: more accurate", "s", 1e-4, 0.1
-    )
-    robot: RobotConfig = RobotConfig()
-    gait: GaitConfig = GaitConfig()
-    task: TaskConfig = TaskConfig()
-    dsp: DspConfig = DspConfig()
-    ssp: SspConfig = SspConfig()
-    standing: StandingConfig = StandingConfig()
-    dynamic: DynamicConfig = DynamicConfig()
-    pelvis: PelvisConfig = PelvisConfig()
-    joints: JointsConfig = JointsConfig()
-    arms: ArmsConfig = ArmsConfig()
-    collision: CollisionConfig = CollisionConfig()
-    qp: QpConfig = QpConfig()
-    servo: ServoConfig = ServoConfig()
-    physics: PhysicsConfig = PhysicsConfig()
-    sensors: SensorsConfig = SensorsConfig()
-    plant: PlantConfig = PlantConfig()
-    output: OutputConfig = OutputConfig()
-    estimation: EstimationConfig = EstimationConfig()
-    monitor: MonitorConfig = MonitorConfig()
-    safety: SafetyConfig = SafetyConfig()
-    poppy: PoppyConfig = PoppyConfig()
-    node: NodeConfig = NodeConfig()
-    odometry: OdometryConfig = OdometryConfig()
-    whole_body: WholeBodyConfig = WholeBodyConfig()
-
-    @classmethod
-    def specs(cls) -> tuple[Spec, ...]:
-        """Return every parameter, in the order of the schema."""
-        return tuple(_specs().values())
-
-    def flat(self) -> dict[str, Value]:
-        """Return ``{dotted name: value}``."""
-        names = _specs()
-        return dict(zip(names, operator.attrgetter(*names)(self), strict=True))
-
-    def updated(self, values: Mapping[str, Any], *, source: str = "") -> Config:
-        """Return a copy with the values of ``{dotted name: value}`` replaced.
-
-        Raises
-        ------
-        ConfigError
-            For an unknown name, a wrong type or a value out of bounds.
-        """
-        if "physics.imu" in values:
-            values = {"robot.imu" if name == "physics.imu" else name: value for name, value in values.items()}
-            if values["robot.imu"] != "imu":  # the former default, which every older recording contains
-                text = f"{source or 'a configuration'}: 'physics.imu' is now 'robot.imu'"
-                logging.getLogger("dqwalk_ros").warning(text)
-        try:
-            values = {name: checked(_specs(), name, value) for name, value in values.items()}
-        except ConfigError as error:
-            raise ConfigError(f"{source}: {error}" if source else str(error)) from error
-        tree: dict[str, dict[str, Value]] = {}
-        for name, value in values.items():
-            section, _, key = name.rpartition(".")
-            tree.setdefault(section, {})[key] = value
-        top: dict[str, Any] = dict(tree.pop("", {}))
-        for section, entries in tree.items():
-            top[section] = dataclasses.replace(getattr(self, section), **entries)
-        return dataclasses.replace(self, **top)
-
-
-_specs = functools.partial(specs_of, Config)
