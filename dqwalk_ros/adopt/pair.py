@@ -24,7 +24,10 @@ _NEAR_FLOOR = 0.03
 _TOUCHES = 0.006
 """Largest difference of the lowest points of two bodies that both touch the ground, as a fraction of the height."""
 _ACROSS = 0.5
-"""Largest cosine of the axis of a toe to the way from ankle to toe, and least slope of this way to the vertical."""
+"""Largest cosine of the axis of a toe to the way from ankle to toe, and of that of a wheel to the vertical; least slope
+of the way from ankle to toe to the vertical."""
+_ROUND = 0.85
+"""Least radius of a wheel, as a fraction of its largest one."""
 _ASYMMETRY = 0.02
 """Tolerance of the symmetry of left and right joints, as a fraction of the length of a leg."""
 _TURNED = 45.0
@@ -179,6 +182,9 @@ def _find_legs(skeleton: Skeleton, given: tuple[str, str]) -> tuple[str, str]:
         return a, b
     lowest, floor, height = _heights(skeleton)
     near = {body for body, z in lowest.items() if z < floor + _NEAR_FLOOR * height}
+    low = [body for body in sorted(lowest) if body and lowest[body] < floor + 2.0 * _NEAR_FLOOR * height]
+    if len(wheels := [body for body in low if _is_wheel(skeleton, body)]) > 1:
+        raise ModelError(f"the robot does not stand on feet but on wheels: {', '.join(map(repr, wheels))} turn them")
     feet = [body for body in near - {""} if not _is_toe(skeleton, body, lowest, floor, height)]
     feet = [body for body in feet if not any(body in skeleton.way(other)[:-1] for other in feet)]
     feet = _without_duplicates(skeleton, feet, height)
@@ -251,6 +257,19 @@ def _heights(skeleton: Skeleton) -> tuple[dict[str, float], float, float]:
             f"joint '{deepest}' is below all links with a shape that can be read, so the soles are unknown{cure}"
         )
     return lowest, floor, height
+
+
+def _is_wheel(skeleton: Skeleton, body: str) -> bool:
+    """Return whether a body turns without end about a level axis, and is as far from it in all directions."""
+    joint, corners, axis = skeleton.joints[body], skeleton.points(skeleton.bodies[body])[0], skeleton.axis(body)
+    endless = joint.type == "continuous" or joint.limit.upper - joint.limit.lower > math.tau
+    if corners is None or not endless or abs(axis[2]) > _ACROSS:
+        return False
+    across = np.cross(axis, Z) / np.linalg.norm(np.cross(axis, Z))
+    angles = np.linspace(0.0, math.tau, 16, endpoint=False)
+    ways = np.outer(np.cos(angles), across) + np.outer(np.sin(angles), np.cross(axis, across))
+    radii = ((corners - skeleton.place(body)) @ ways.T).max(axis=0)
+    return bool(radii.min() > _ROUND * radii.max() > 0.0)
 
 
 def _is_toe(skeleton: Skeleton, body: str, lowest: dict[str, float], floor: float, height: float) -> bool:

@@ -174,6 +174,22 @@ def test_an_ankle_beside_a_shin_that_touches_the_ground_is_no_toe() -> None:
     assert anatomy_of(urdf).legs == plain.legs
 
 
+@pytest.mark.parametrize("round_", [True, False])
+def test_wheels_under_the_feet_are_called_wheels(round_: bool, tmp_path: Path) -> None:
+    shape = '<cylinder radius="0.03" length="0.02"/>' if round_ else '<box size="0.06 0.02 0.03"/>'
+    wheel = (
+        f'<link name="{{0}}_wheel"><collision><origin rpy="{1.5708 * round_} 0 0"/><geometry>{shape}</geometry>'
+        '</collision></link><joint name="{0}_turn" type="continuous"><parent link="{0}_foot"/>'
+        '<child link="{0}_wheel"/><origin xyz="0 0 -0.07"/><axis xyz="0 1 0"/></joint>'
+    )
+    urdf = read(tmp_path, ("</robot>", wheel.format("l") + wheel.format("r") + "</robot>"))
+    if not round_:
+        assert anatomy_of(urdf).sideways
+        return
+    with pytest.raises(ModelError, match="on wheels: 'l_turn', 'r_turn' turn them"):
+        anatomy_of(urdf)
+
+
 def test_an_axis_that_is_wrong_in_one_leg_is_named() -> None:
     urdf = Urdf.load(SMALL)
     urdf.joints["r_ankle_pitch"].axis = X
