@@ -31,7 +31,7 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Servos, ServoType
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.dynamic.swing import Swing
+from dqwalk_ros.walks.dynamic.swing import Swing, advanced
 from dqwalk_ros.walks.footsteps import Footsteps
 
 _SAMPLES = 41
@@ -174,7 +174,8 @@ def _paths(still: Kinematics, beside: DQ, gait: Gait, t: Array) -> tuple[Array, 
     com[:, 2] = height
     start, goal = (DQ.from_pose([sign * gait.length, 0.0, 0.0]) * beside for sign in (-1.0, 1.0))
     path, single = Swing(start.vec8(), goal.vec8(), gait.height, 0.0), gait.single
-    return com, np.array([path.step(min(max(x + 0.5 * single, 0.0), single), single)[0][:3] for x in t])
+    elapsed = np.clip(t + 0.5 * single, 0.0, single).tolist()
+    return com, np.array([advanced(*path.compiled, time, single)[0][:3] for time in elapsed])
 
 
 def _reached(still: Kinematics, beside: DQ, com: Array, foot: Array) -> tuple[Array, tuple[str, ...], float]:

@@ -15,20 +15,10 @@ NOT_MEASURED = np.empty(0)
 """Stands for an angular velocity that is not measured."""
 
 
-def com_velocity(kin: Kinematics, state: State, share: float = 0.0) -> Array:
-    """Return the velocity of the CoM, shape (3,) [m/s]; zero if the joint velocities are unknown.
-
-    Each sole is at rest as far as it bears the weight, of which the other sole has the fraction `share`. So a base sole
-    that has left uneven ground in double support, and moves, is not taken to be at rest.
-    """
-    v: Array = _velocity(share, *measured(kin, state))
-    return v
-
-
 def com_and_xi(kin: Kinematics, state: State, omega: Array, share: float = 0.0) -> tuple[Array, Array]:
     """Return the projection c (2,) of the CoM on the ground along the vertical, and xi = c + c'/w (2,) [m].
 
-    `omega` (2,) are the frequencies w of the pendulum [1/s]; `share` as in `com_velocity`.
+    `omega` (2,) are the frequencies w of the pendulum [1/s]; `share` as in `velocity`.
     """
     c, xi = projected(kin.up, omega, share, *measured(kin, state))
     return c, xi
@@ -54,17 +44,21 @@ def projected(
     sensor: tuple[Any, ...], dq: Array, gyro: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return c and xi (2,) of `com_and_xi`."""
-    v, along = _velocity(share, com, J_com, lines, poses, swing, sensor, dq, gyro), up[:2]
+    v, along = velocity(share, com, J_com, lines, poses, swing, sensor, dq, gyro), up[:2]
     c = com[:2] - com[2] / up[2] * along
     return c, c + (v[:2] - v[2] / up[2] * along) / omega
 
 
 @jit
-def _velocity(
+def velocity(
     share: float, com: Array, J_com: Array, lines: Array, poses: Array, swing: tuple[Any, ...],
     sensor: tuple[Any, ...], dq: Array, gyro: Array,
 ) -> Array:  # fmt: skip
-    """Return the velocity (3,) of `com_velocity`; `swing` and `sensor` are places."""
+    """Return the velocity of the CoM, shape (3,) [m/s]; `swing` and `sensor` are places.
+
+    Each sole is at rest as far as it bears the weight, of which the other one has the fraction `share`. So a base sole
+    that has left uneven ground in double support, and moves, is not taken to be at rest.
+    """
     other, imu = Place(*swing), Place(*sensor)
     v: Array = moving_com(com, J_com, lines, poses, imu, dq, gyro)
     if share > 0.0:

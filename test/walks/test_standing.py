@@ -29,7 +29,7 @@ from dqwalk_ros.report import bag
 from dqwalk_ros.report.scene import Moments, Scene
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import ConfigError, PhaseError, PlantError
-from dqwalk_ros.walks.com import com_velocity
+from dqwalk_ros.walks.com import measured, velocity
 from dqwalk_ros.walks.following import ComPath, SwingPath, com_path
 from dqwalk_ros.walks.standing.balance import Balance
 from dqwalk_ros.walks.standing.walk import PathEnd, StandingWalk
@@ -242,6 +242,10 @@ def test_the_com_path_is_smooth(over: tuple[Point, ...]) -> None:
         before, now, after = (reference(path, Kinematics(MODEL, q, Foot.RIGHT), t + k * h) for k in (-1, 0, 1))
         assert now[1] == pytest.approx((after[0] - before[0]) / (2 * h), abs=1e-6)
         assert now[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=1e-6)
+
+
+def com_velocity(kin: Kinematics, state: State, share: float = 0.0) -> np.ndarray:
+    return velocity(share, *measured(kin, state))
 
 
 def test_com_velocity_includes_the_rotation_of_a_tipping_sole() -> None:

@@ -111,37 +111,34 @@ class Swing:
         self._state[2:4], self._state[4:] = place, 0.0
         return self.goal
 
-    def step(self, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
-        """Advance to a time and return the motion there.
-
-        Parameters
-        ----------
-        elapsed : float
-            Time since the lift-off; must not decrease [s].
-        duration : float
-            Current duration of the whole swing [s].
-
-        Returns
-        -------
-        pose : ndarray, shape (7,)
-            Position [m] and unit quaternion.
-        velocity : ndarray, shape (6,)
-            Linear [m/s] and angular [rad/s].
-        acceleration : ndarray, shape (2,)
-            Along the ground [m/s^2].
-        """
-        pose, velocity, acceleration = advanced(*self.compiled, elapsed, duration)
-        return pose, velocity, acceleration
-
 
 @jit
 def advanced(state: Array, goal: Array, path: Array, elapsed: float, duration: float) -> tuple[Array, Array, Array]:
-    """Advance `state` (6,) to the time `elapsed`; see `Swing.step`.
+    """Advance a `Swing` to a time, and return the motion there.
 
-    It is the completed fraction of the time, the time [s], and place and velocity along the ground; `path` (14,) is the
-    height of the start over its ground and that of the arch [m], the orientation at the start, half the rotation vector
-    and its norm, the height of the ground at the start and its change [m], and the fractions of the time at the
-    beginning and at the end without motion along the ground.
+    Parameters
+    ----------
+    state : ndarray, shape (6,)
+        Completed fraction of the time, the time [s], and place and velocity along the ground.
+    goal : ndarray, shape (2,)
+        Where the foot lands [m].
+    path : ndarray, shape (14,)
+        Height of the start over its ground and that of the arch [m], orientation at the start, half the rotation vector
+        and its norm, height of the ground at the start and its change [m], and fractions of the time at the beginning
+        and at the end without motion along the ground.
+    elapsed : float
+        Time since the lift-off; must not decrease [s].
+    duration : float
+        Current duration of the whole swing [s].
+
+    Returns
+    -------
+    pose : ndarray, shape (7,)
+        Position [m] and unit quaternion.
+    velocity : ndarray, shape (6,)
+        Linear [m/s] and angular [rad/s].
+    acceleration : ndarray, shape (2,)
+        Along the ground [m/s^2].
     """
     level, climb, lift, land = path[10], path[11], path[12], path[13]
     since, left = elapsed - state[1], max(duration - state[1], 1e-3)

@@ -20,7 +20,7 @@ from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY, Soles, gravity_torques, ground_torques
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.walks.com import NOT_MEASURED, moving_com
+from dqwalk_ros.walks.com import moving_com, rates
 from dqwalk_ros.walks.following import ComPath, com_path
 
 _NO_EDGES = np.empty((0, 2)), np.empty(0)
@@ -63,11 +63,8 @@ class Balance:
         """
         if self._goal is None:
             return gravity_torques(kin, both=self._both)
-        dq, gyro = state.dq, NOT_MEASURED if state.gyro is None else state.gyro
-        if dq is None:
-            dq, gyro = np.zeros(kin.q.shape), NOT_MEASURED
         tau: Array = _torques(
-            kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up, self._sensor, dq, gyro, state.elapsed,
+            kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up, self._sensor, *rates(state), state.elapsed,
             self._goal, *self._edges, self._gain, self._margin, self._mass, self._soles,
         )  # fmt: skip
         return tau
