@@ -227,7 +227,7 @@ class PoppyDriver(WalkNode):
                     heat[joint] = seen.temperature
                     each |= {f"temperature/{joint}": seen.temperature, f"voltage/{joint}": seen.voltage}
                 each |= {f"load/{joint}": float(plant.measured.load[k]), f"error bits/{joint}": int(error)}
-        state = "no motor has told its temperature"
+        state = "no motor has reported its temperature"
         if heat:
             hottest = max(heat, key=lambda joint: heat[joint])
             each |= {"hottest motor": hottest, "hottest temperature": heat[hottest]}
