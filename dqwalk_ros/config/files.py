@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import logging
 import os
 import pathlib
@@ -117,10 +118,10 @@ def load(source: str | os.PathLike[str]) -> Config:
     Raises
     ------
     ConfigError
-        If the file is missing, is not YAML, or has an unknown key or a value out of bounds.
+        If the file is missing, is not YAML, has an unknown key or a value out of bounds, or is for other nodes only.
     """
     path = find_config(source)
-    return resolved(path, from_yaml(strict_yaml.read_text(path), source=str(path)))
+    return resolved(path, _of_file(path))
 
 
 def resolved(path: pathlib.Path, config: Config) -> Config:
@@ -128,6 +129,20 @@ def resolved(path: pathlib.Path, config: Config) -> Config:
     named = {"robot.urdf": config.robot.urdf, "gait.recover": config.gait.recover}
     found = {name: path.parent / file for name, file in named.items() if file and (path.parent / file).is_file()}
     return config.updated({name: str(file.resolve()) for name, file in found.items()}) if found else config
+
+
+def _of_file(path: pathlib.Path, onto: Config | None = None) -> Config:
+    """Return the configuration of a parameter file; raise ConfigError if all of it is for other packages."""
+    text, source = strict_yaml.read_text(path), str(path)
+    config = from_yaml(text, source=source, onto=onto)
+    sections = sections_of(text, source=source)
+    own = [section.values for section in sections if section.is_ours]
+    if not own or (any(own) and all(map(is_foreign, itertools.chain(*own)))):
+        names = listed([section.name for section in sections])
+        raise ConfigError(
+            f"{source}: no parameter of this package; its sections are {names}, not '/**' or one of a node"
+        )
+    return config
 
 
 def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) -> Config:
@@ -250,8 +265,7 @@ def with_files(config: Config, files: Iterable[pathlib.Path]) -> Config:
         If a file is missing or cannot be used.
     """
     for given in files:
-        path = find_params(given)
-        config = from_yaml(strict_yaml.read_text(path), source=str(path), onto=config)
+        config = _of_file(find_params(given), config)
     return config
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from dqwalk_ros import cli
-from dqwalk_ros.config import load
+from dqwalk_ros.config import Config, load, with_files
 from dqwalk_ros.support.errors import ConfigError
 
 OURS = "ros__parameters: {dt: 0.01, gait.cycles: 3}"
@@ -85,3 +85,28 @@ def test_ignored_parameters_are_named(make: Any, tmp_path: Path, caplog: pytest.
     (tmp_path / "file.yaml").write_text(text)
     load(tmp_path / "file.yaml")
     assert "ignoring parameters of other packages: camera.fps, hz" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        (
+            "amcl: {ros__parameters: {alpha1: 0.2}}\nbt_navigator: {ros__parameters: {odom_topic: odom}}",
+            "amcl, bt_navigator",
+        ),
+        ("/**: {ros__parameters: {alpha1: 0.2}}", r"/\*\*"),
+    ],
+)
+def test_a_file_for_other_packages_only_is_no_configuration(text, names, tmp_path):
+    file = tmp_path / "nav2.yaml"
+    file.write_text(text)
+    for read in (lambda: load(file), lambda: with_files(Config(), [file])):
+        with pytest.raises(ConfigError, match=f"no parameter of this package; its sections are {names},"):
+            read()
+
+
+@pytest.mark.parametrize("own", ["gait.steps: 3", "use_sim_time: true", ""])
+def test_a_file_of_a_whole_robot_may_hold_little_of_this_package(own, tmp_path):
+    file = tmp_path / "robot.yaml"
+    file.write_text(f"amcl: {{ros__parameters: {{alpha1: 0.2}}}}\n/**: {{ros__parameters: {{{own}}}}}")
+    assert with_files(Config(), [file]).gait.steps == load(file).gait.steps
