@@ -109,7 +109,7 @@ class Inertial:
     acceleration: Array
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, eq=False)
 class Truth:
     """Ground truth of a simulator, which no sensor of the robot measures.
 

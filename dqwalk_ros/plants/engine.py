@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -166,7 +165,8 @@ class EnginePlant(Plant):
     def inertial(self) -> Inertial:
         """Measurements of the inertial sensor."""
         r = self._reading
-        return replace(r, acceleration=self._to_sensor @ self._acceleration()) if self._sensors.exact else r
+        acceleration = self._to_sensor @ self._acceleration() if self._sensors.exact else r.acceleration
+        return Inertial(r.orientation, r.gyro, acceleration)
 
     @property
     def fallen(self) -> bool:

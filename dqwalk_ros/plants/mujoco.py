@@ -55,11 +55,11 @@ class PhysicsPlant(EnginePlant):
         joints = [self.mj.joint(name) for name in model.joint_names]
         self._qadr = np.array([int(j.qposadr[0]) for j in joints])
         self._vadr = np.array([int(j.dofadr[0]) for j in joints])
-        self._root, self._pelvis_id, self._imu = (
+        root, self._pelvis_id, self._imu = (
             self.mj.body(link).id for link in (model.root, model.pelvis, model.imu_link)
         )
         self._imu_orientation, self._imu_axes = self._xquat[self._imu], self._xmat[self._imu].reshape(3, 3)
-        self._imu_turning = self.data.cvel[self._imu, :3]
+        self._imu_turning, self._center = self.data.cvel[self._imu, :3], self.data.subtree_com[root]
         self._bodies = {link: self.mj.body(link).id for link in (model.pelvis, *(model.soles[f].frame for f in Foot))}
         self._ground = {foot: self.mj.sensor(f"ground_{foot.value}").adr[0] for foot in Foot}
         self._goals = self.data.ctrl.reshape(-1, model.n)  # a view; a second row where there is backlash
@@ -121,7 +121,7 @@ class PhysicsPlant(EnginePlant):
 
     @property
     def _com(self) -> Array:
-        com: Array = self.data.subtree_com[self._root].copy()
+        com: Array = self._center.copy()
         return com
 
     def _floor_normal(self) -> Array:
