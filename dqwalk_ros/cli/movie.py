@@ -33,7 +33,7 @@ examples:
 @click.option(
     "--out",
     metavar="FILE",
-    type=Place(),
+    type=Place(written=True),
     default="walk.gif",
     help=".gif, .webp, or .png for a strip.",
 )

@@ -15,6 +15,7 @@ import click
 
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError, unexpanded
+from dqwalk_ros.support.output import unwritable
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -91,10 +92,17 @@ def plant_option(plants: Sequence[str], default: str) -> Option:
 
 
 class Place(click.Path):
-    """Type of an option whose value is a path; an empty one, of an unset variable, is not the current folder."""
+    """Type of an option whose value is a path; an empty one, of an unset variable, is not the current folder.
 
-    def __init__(self, **options: bool) -> None:
+    Parameters
+    ----------
+    written : bool
+        The path will be created or replaced: a folder that cannot be written to is found before a walk of minutes.
+    """
+
+    def __init__(self, *, written: bool = False, **options: bool) -> None:
         super().__init__(path_type=Path, **options)
+        self._written = written
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path."""
@@ -102,6 +110,8 @@ class Place(click.Path):
             self.fail("it is empty", param, ctx)
         if isinstance(value, str) and (why := unexpanded(value)):
             self.fail(f"'{value}': {why}", param, ctx)
+        if self._written and isinstance(value, str) and (why := unwritable(Path(value))):
+            self.fail(why, param, ctx)
         return super().convert(value, param, ctx)
 
 
@@ -110,7 +120,7 @@ def folder_option(default: str | None, shown: str = "") -> Option:
     return click.option(
         "--out",
         metavar="DIR",
-        type=Place(),
+        type=Place(written=True),
         default=default,
         show_default=shown or True,
         help="Folder of the results.",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from typing import Any, Self
 
 from tqdm import tqdm
@@ -47,11 +48,13 @@ class Progress:
         self._above.__exit__(None, None, None)
 
     def _keep_showing(self) -> None:
+        began = time.monotonic()
         while not self._over.wait(_TICK if self._terminal else _PAUSE):
             if self._terminal:
                 self._bar.refresh()
             else:
-                print(f"{100.0 * self._fraction:3.0f} % {self._text}", file=sys.stderr, flush=True)
+                after = f"after {time.monotonic() - began:.0f} s: {self._text}"
+                print(f"{100.0 * self._fraction:3.0f} % {after}", file=sys.stderr, flush=True)
 
     def print(self, text: str) -> None:
         """Print a line on standard output, above the bar."""

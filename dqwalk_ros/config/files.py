@@ -140,7 +140,7 @@ def _of_file(path: pathlib.Path, onto: Config | None = None) -> Config:
     if not own or (any(own) and all(map(is_foreign, itertools.chain(*own)))):
         names = listed([section.name for section in sections])
         raise ConfigError(
-            f"{source}: no parameter of this package; its sections are {names}, not '/**' or one of a node"
+            f"{source}: no parameter of this package, only of others in {names}; `dqwalk config` prints ours"
         )
     return config
 

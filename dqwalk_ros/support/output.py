@@ -56,6 +56,12 @@ def write_text(path: str | os.PathLike[str], text: str, *, overwrite: bool = Fal
         new.write_text(text, encoding="utf-8")
 
 
+def unwritable(path: Path) -> str:
+    """Return why nothing can be created at a path, by the rights of the nearest folder that exists; "" if it can."""
+    folder = next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
+    return "" if os.access(folder, os.W_OK | os.X_OK) else f"'{folder}' is read-only, or not writable for this user"
+
+
 def refuse_existing(paths: Iterable[Path]) -> None:
     """Raise OutputError if something exists at one of the paths, be it a link that leads nowhere."""
     for path in paths:

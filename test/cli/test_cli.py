@@ -567,7 +567,7 @@ def test_progress_in_a_file_is_a_line_now_and_then(quiet, capsys, monkeypatch):
         bar(0.7, "walking")
         bar.print("a line")
         time.sleep(0.15)
-    assert capsys.readouterr() == ("a line\n", "" if quiet else " 70 % walking\n")
+    assert capsys.readouterr() == ("a line\n", "" if quiet else " 70 % after 0 s: walking\n")
 
 
 def test_the_time_passes_on_a_terminal_also_without_progress(capsys, monkeypatch):

@@ -191,6 +191,17 @@ def test_results_are_written_before_they_are_printed(
     assert {"report.json", "series.csv", "top_view.png"} <= {file.name for file in tmp_path.iterdir()}
 
 
+@pytest.mark.parametrize("command", [["simulate"], ["adopt", "robot.urdf"], ["movie", "bag"], ["pushes"]])
+def test_a_folder_that_cannot_be_written_to_is_found_before_anything_is_computed(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Another user's, or one of a file system that is mounted read-only."""
+    rights = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK and rights(path, mode))
+    assert cli.main([*command, "--out", str(tmp_path / "new/one")]) == 2
+    assert f"'{tmp_path}' is read-only, or not writable for this user" in capsys.readouterr().err
+
+
 @pytest.mark.usefixtures("few_figures")
 @pytest.mark.parametrize("lost", ["dqwalk_ros.report.bag.write", "dqwalk_ros.cli.results.write_text"])
 def test_a_walk_that_cannot_be_written_is_reported_all_the_same(

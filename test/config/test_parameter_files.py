@@ -101,7 +101,7 @@ def test_a_file_for_other_packages_only_is_no_configuration(text, names, tmp_pat
     file = tmp_path / "nav2.yaml"
     file.write_text(text)
     for read in (lambda: load(file), lambda: with_files(Config(), [file])):
-        with pytest.raises(ConfigError, match=f"no parameter of this package; its sections are {names},"):
+        with pytest.raises(ConfigError, match=f"no parameter of this package, only of others in {names};"):
             read()
 
 
