@@ -57,26 +57,28 @@ def main() -> None:
     )
     args = parser.parse_args()
     options = {"tick": ["--peers"] if args.peers else [], "cycle": ["--ticks", str(args.ticks)]}
-    before = (
-        dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", args.out.read_text("utf-8"), re.M | re.S)) if args.only else {}
-    )
-    parts = [TEXT]
-    for name, title in TITLES.items():
-        if args.only and name not in args.only:
-            if title in before:
-                parts.append(f"## {title}\n{before[title].rstrip()}\n\n")
-            continue
+    sections: dict[str, str] = {}  # by title; the page keeps those that are not measured, or not yet
+    if args.out.exists():
+        sections |= re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", args.out.read_text("utf-8"), re.M | re.S)
+    for name in args.only or TITLES:
         command = [f"benchmark.{name}", *options.get(name, [])]
         shown = f"python -m {' '.join(command)}"
         print(f"{shown} ...", file=sys.stderr, flush=True)
         pythons = args.peers if "--peers" in command else [sys.executable]
-        outs = [
-            subprocess.run([python, "-m", *command], stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
-            for python in pythons
-        ]
+        try:
+            outs = [
+                subprocess.run([python, "-m", *command], stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
+                for python in pythons
+            ]
+        except KeyboardInterrupt:
+            sys.exit(f"interrupted; {args.out} keeps what was measured before: --only {name} ... measures the rest")
         date = datetime.date.today().isoformat()
-        parts.append("\n\n".join([f"## {title}", f"`{shown}` on {date}", *outs]) + "\n\n")
-    args.out.write_text("".join(parts).rstrip() + "\n", encoding="utf-8")
+        sections[TITLES[name]] = "\n\n".join([f"\n`{shown}` on {date}", *outs])
+        page = [
+            TEXT,
+            *(f"## {title}\n{sections[title].rstrip()}\n\n" for title in TITLES.values() if title in sections),
+        ]
+        args.out.write_text("".join(page).rstrip() + "\n", encoding="utf-8")
     print(f"wrote {args.out}", file=sys.stderr)
 
 

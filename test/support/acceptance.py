@@ -267,4 +267,7 @@ def _named(key: str, config: Config, scenario: Scenario) -> tuple[str, tuple[Who
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    try:
+        raise SystemExit(main())
+    except KeyboardInterrupt:
+        raise SystemExit("interrupted: requirements are judged, and bags written, after the last walk") from None
