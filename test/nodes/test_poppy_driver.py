@@ -430,7 +430,7 @@ def test_motors_that_an_earlier_driver_left_on_are_not_said_to_be_off(
     assert one.node._commands.gate.refused == "the torque is off: call ~/activate"
 
 
-def test_motors_that_have_not_told_their_temperature_do_not_end_the_driver(
+def test_motors_that_have_not_reported_their_temperature_do_not_end_the_driver(
     make: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Their long replies may be damaged where the short ones with their angles are not."""
@@ -438,4 +438,4 @@ def test_motors_that_have_not_told_their_temperature_do_not_end_the_driver(
     for part in one.node._plant.parts:
         part.bus.registers[:] = [None] * len(part.bus.ids)
     one.node._diagnose()
-    assert one.got["diagnostics"][-1].status[0].message == "no motor has told its temperature"
+    assert one.got["diagnostics"][-1].status[0].message == "no motor has reported its temperature"
