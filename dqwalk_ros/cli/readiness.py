@@ -18,7 +18,6 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.doctor import Heard
 from dqwalk_ros.nodes.fall_watch import FallWatch
-from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
@@ -26,6 +25,7 @@ from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import StateError, shown
+from dqwalk_ros.support.topics import VELOCITY
 
 _RATE = 0.2
 """Largest relative error of the period of the states."""

@@ -24,9 +24,9 @@ from dqwalk_ros.nodes.fall_watch import FallWatch
 from dqwalk_ros.nodes.foot_forces import FootForces
 from dqwalk_ros.nodes.footsteps import FootstepInput
 from dqwalk_ros.nodes.inertial_sensor import InertialSensor
-from dqwalk_ros.nodes.inputs import Steering
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phase_publisher import PhasePublisher
+from dqwalk_ros.nodes.steering import Steering
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics

@@ -16,10 +16,10 @@ from std_msgs.msg import Bool, String
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import wheels
-from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.topics import VELOCITY
 
 _DISCOVERY = 5.0
 """Time within which a publisher is discovered [s]."""

@@ -21,13 +21,14 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
+from dqwalk_ros.nodes.command_input import CommandInput
 from dqwalk_ros.nodes.safety import ClockSteps
 from dqwalk_ros.plants.servo_goals import JUMPS, ServoGoals
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
+from dqwalk_ros.support.topics import VELOCITY
 
 _TOPICS = {
     ("float64_multi_array", "velocity"): "forward_velocity_controller/commands",

@@ -10,7 +10,6 @@ from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
-from dqwalk_ros.nodes.inputs import VELOCITY
 from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import State
@@ -18,6 +17,7 @@ from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.topics import VELOCITY
 from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace
 
 _REMEMBERED = 10.0

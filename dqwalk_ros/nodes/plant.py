@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
+from dqwalk_ros.nodes.command_input import CommandInput
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import Plant, pushed_periods
@@ -26,7 +26,7 @@ from dqwalk_ros.plants.table import make_plant, plant_type
 from dqwalk_ros.robot.limits import clamp_velocity
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import DqwalkError, StateError
-from dqwalk_ros.support.topics import TOPICS, WORLD
+from dqwalk_ros.support.topics import TOPICS, VELOCITY, WORLD
 
 _ASK_AGAIN = 0.5
 """Time after which a lockstep state without a command is published again [s]: state or command may have been lost."""

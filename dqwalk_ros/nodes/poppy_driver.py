@@ -14,12 +14,12 @@ from std_srvs.srv import SetBool
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.inputs import VELOCITY, CommandInput
+from dqwalk_ros.nodes.command_input import CommandInput
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.poppy.plant import PoppyPlant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ConfigError, PlantError
-from dqwalk_ros.support.topics import FALLEN
+from dqwalk_ros.support.topics import FALLEN, VELOCITY
 
 _SOONEST = 0.5
 """Least time between two goals, in periods."""

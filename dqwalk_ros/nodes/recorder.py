@@ -23,7 +23,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.report.bag.storage import connect, flush, open_writer
 from dqwalk_ros.support.errors import StateError
-from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS, Topic
+from dqwalk_ros.support.topics import BODY_TOPICS, EFFORT, OTHERS, PHASE_LOG, TOPICS, VELOCITY, Topic
 
 _DEPTH = 50_000
 """Depth of the queues: minutes of real time, most of a minute of lockstep at full speed."""
@@ -40,7 +40,6 @@ _ALL = TOPICS | BODY_TOPICS
 _PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
-_COMMANDS = ("joint_velocity_commands", "joint_effort_commands")
 FAR = 5_000_000_000
 """Jump of the stamp [ns] above which the stamp of a single message is considered wrong."""
 
@@ -187,7 +186,7 @@ class Recorder(WalkNode):
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
         self._handled += 1
         stamp = self._time.newest
-        if name in _COMMANDS and self._robot.learn(raw):
+        if name in (VELOCITY, EFFORT) and self._robot.learn(raw):
             self._last["joint_states"], self._missing["joint_states"] = -1, 0  # those so far may be of a gripper
         foreign = name == "joint_states" and self._robot.is_foreign(raw)  # recorded as a topic of `OTHERS`
         if not foreign and name not in OTHERS and topic.type.startswith(_STAMPED):

@@ -13,6 +13,9 @@ ODOM = "odom"
 WORLD = "world"
 """Frame of a physics engine's floor; used for ground truth only, which a real robot does not have."""
 
+VELOCITY, EFFORT = "joint_velocity_commands", "joint_effort_commands"
+"""Topics of the commands of both kinds of walk."""
+
 FINISHED = "finished"
 """Message on `phase` after the last phase of a walk."""
 

@@ -18,7 +18,7 @@ from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.runner import run_walk
 from dqwalk_ros.config import load, overlaid
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.inputs import Steering
+from dqwalk_ros.nodes.steering import Steering
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag

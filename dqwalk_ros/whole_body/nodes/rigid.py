@@ -15,12 +15,11 @@ from geometry_msgs.msg import TwistStamped, WrenchStamped
 from sensor_msgs.msg import JointState
 
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.inputs import EFFORT
 from dqwalk_ros.nodes.plant import SimulatedPlant
 from dqwalk_ros.nodes.state_gate import BodyGate
 from dqwalk_ros.robot.limits import clamp_effort
 from dqwalk_ros.support.errors import DqwalkError
-from dqwalk_ros.support.topics import ODOM
+from dqwalk_ros.support.topics import EFFORT, ODOM
 from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
