@@ -7,32 +7,48 @@ late to balance it; feedforward torques act immediately.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.constraints import ComInsideEdges
 from dqwalk_ros.paper.geometry import moved_inside
-from dqwalk_ros.paper.kinematics import Kinematics, Place, point, support_tree
+from dqwalk_ros.paper.kinematics import PLACE, Kinematics, Place, point, support_tree
 from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.paper.statics import GRAVITY, Soles, gravity_torques, ground_torques
+from dqwalk_ros.paper.statics import GRAVITY, SOLES, Soles, gravity_torques, ground_torques
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import jit
+from dqwalk_ros.support.compiled import FLOAT, INTEGERS, MATRIX, VECTOR, Record, jit
 from dqwalk_ros.walks.com import moving_com, rates
 from dqwalk_ros.walks.following import ComPath, com_path
 
 _NO_EDGES = np.empty((0, 2)), np.empty(0)
 
 
-class _Goal(NamedTuple):
-    """Path of the CoM: its start (2,) [m], its duration [s], and points (k, 3) of bodies, whose mean is its end."""
+class _Given(NamedTuple):
+    """What is constant in a phase.
+
+    The path of the CoM has a start (2,) [m], a duration [s], and points (k, 3) of bodies, whose mean is its end; `n`
+    and `d` are the edges of the support polygon, and `margin` [m] is the distance of the pressure from them.
+    """
 
     start: Array
     duration: float
-    bodies: Array
+    bodies: NDArray[np.int64]
     points: Array
+    n: Array
+    d: Array
+    gain: float
+    margin: float
+    mass: float
+    sensor: Place
+    soles: Soles
+
+
+_GIVEN = Record(_Given, VECTOR, FLOAT, INTEGERS, MATRIX, MATRIX, VECTOR, FLOAT, FLOAT, FLOAT, PLACE, SOLES)
+_opened = _GIVEN.opened
 
 
 class Balance:
@@ -41,18 +57,19 @@ class Balance:
     def __init__(self, phase: Phase, config: Config) -> None:
         model, standing = phase.model, config.standing
         tree = support_tree(model, phase.base)
-        self.phase, self._both = phase, phase.double
+        self.phase, self._given, self._table = phase, None, None
         path = next((task for task in phase.tasks if isinstance(task, ComPath)), None)
-        self._goal: tuple[Any, ...] | None = None  # the fields of `_Goal`
-        if path is not None and standing.balance > 0.0:
-            over = [goal.placed(tree) for goal in path.over]
-            bodies, points = np.array([body for body, _ in over]), np.array([offset for _, offset in over])
-            self._goal = path.start, path.duration, bodies, points
+        if path is None or not standing.balance > 0.0:
+            return
+        over = [goal.placed(tree) for goal in path.over]
+        bodies, points = np.array([body for body, _ in over]), np.array([offset for _, offset in over])
         edges = next((constraint for constraint in phase.inequalities if isinstance(constraint, ComInsideEdges)), None)
-        self._edges = edges.polygon.edges() if edges is not None else _NO_EDGES
-        self._gain, self._margin, self._mass = standing.balance, standing.pressure_margin, model.mass
-        self._sensor = tuple(tree.frames[model.imu])
-        self._soles = tuple(Soles.of(model, phase.base, both=self._both))
+        polygon = edges.polygon.edges() if edges is not None else _NO_EDGES
+        gain, margin, soles = standing.balance, standing.pressure_margin, Soles.of(model, phase.base, both=phase.double)
+        self._given = _Given(
+            path.start, path.duration, bodies, points, *polygon, gain, margin, model.mass, tree.frames[model.imu], soles
+        )
+        self._table = _GIVEN.table(self._given)
 
     def __call__(self, kin: Kinematics, state: State) -> Array:
         """Return the joint torques (n,) [N m] that compensate gravity and accelerate the CoM towards its path.
@@ -61,34 +78,28 @@ class Balance:
         a = a_d - w^2 k (c - c_d) - w (1 + k) (v - v_d). The centre of pressure that it requires, c - a/w^2, is first
         moved into the support polygon.
         """
-        if self._goal is None:
-            return gravity_torques(kin, both=self._both)
-        tau: Array = _torques(
-            kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up, self._sensor, *rates(state), state.elapsed,
-            self._goal, *self._edges, self._gain, self._margin, self._mass, self._soles,
-        )  # fmt: skip
+        if self._table is None:
+            return gravity_torques(kin, both=self.phase.double)
+        robot = kin.com, kin.com_jacobian, kin.lines, kin.poses, kin.up
+        tau: Array = _torques(self._table, *robot, *rates(state), state.elapsed)
         return tau
 
 
 @jit
 def _torques(
-    com: Array, J_com: Array, lines: Array, poses: Array, up: Array, sensor: tuple[Any, ...], dq: Array, gyro: Array,
-    elapsed: float, goal: tuple[Any, ...], n: Array, d: Array, gain: float, margin: float, mass: float,
-    soles: tuple[Any, ...],
+    table: Array, com: Array, J_com: Array, lines: Array, poses: Array, up: Array, dq: Array, gyro: Array,
+    elapsed: float,
 ) -> Array:  # fmt: skip
-    """Return the joint torques (n,) [N m] of `Balance`.
-
-    `n` and `d` are the edges of the support polygon, and `margin` [m] is the distance of the pressure from them;
-    `sensor` is a `Place`, `goal` a `_Goal`, and `soles` are `Soles`.
-    """
-    v, to = moving_com(com, J_com, lines, poses, Place(*sensor), dq, gyro), _Goal(*goal)
+    """Return the joint torques (n,) [N m] of `Balance`; the `table` is that of what is `_Given`."""
+    to = _opened(table)
+    v = moving_com(com, J_com, lines, poses, to.sensor, dq, gyro)
     s = np.zeros(2 + 3 * to.bodies.shape[0])
     for j in range(to.bodies.shape[0]):
         s[2 + 3 * j : 5 + 3 * j] = point(poses[to.bodies[j]], to.points[j])
     c_d, v_d, a_d = com_path(s, to.start, elapsed, to.duration)
-    a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, n, d, gain, margin)
-    force = mass * (GRAVITY * up + a)
-    tau: Array = ground_torques(force, pressure, com, J_com, lines, poses, Soles(*soles))
+    a, pressure = _com_acceleration(com, up, v, c_d, v_d, a_d, to.n, to.d, to.gain, to.margin)
+    force = to.mass * (GRAVITY * up + a)
+    tau: Array = ground_torques(force, pressure, com, J_com, lines, poses, to.soles)
     return tau
 
 
@@ -98,7 +109,7 @@ def _com_acceleration(
 ) -> tuple[Array, Array]:
     """Return the horizontal acceleration (3,) of the CoM towards its path, and its centre of pressure (2,).
 
-    `k` is the gain of the feedback; n, d and margin as in `_torques`.
+    `k` is the gain of the feedback; n, d and margin as in `_Given`.
     """
     w2 = GRAVITY / max(up[0] * com[0] + up[1] * com[1] + up[2] * com[2], 0.05)
     w = math.sqrt(w2)
