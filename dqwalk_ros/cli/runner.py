@@ -215,7 +215,8 @@ class _Progress:
         rate = (line["ticks"] - self._first[1]) / self.took if self.took > 0.0 else 0.0
         of = "" if self._phases == math.inf else f"/{self._phases}"
         error = "" if line["error"] is None else f"error {line['error']:.4f}"
-        text = f"phase {line['phase_index'] + 1}{of} {line['phase']}  {line['time']:7.2f} s  {error}"
+        number = min(line["phase_index"] + 1, self._phases)
+        text = f"phase {number}{of} {line['phase']}  {line['time']:7.2f} s  {error}"
         self._progress(min(1.0, max(0.0, done)), f"{text}  {rate:.0f} ticks/s")
 
 

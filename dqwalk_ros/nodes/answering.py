@@ -48,8 +48,10 @@ class AnsweringNode(WalkNode):
     """Decides which states are accepted."""
     field, stopping = "velocity", "zero velocity"
     """Field of a command that is zero when the robot stops, and the name of that command in log messages."""
-    states = awaited = "joint_states"
-    """Name of the states in log messages, and of all that is awaited at the start."""
+    states = "joint_states"
+    """Name of the states in log messages."""
+    awaited: tuple[str, ...] = ("joint_states",)
+    """Topics of which a state consists."""
     what = "walk"
     """Name of the status on /diagnostics."""
 
@@ -78,7 +80,7 @@ class AnsweringNode(WalkNode):
         self._failures = FaultCounter(config.safety.failures)
         self._plants = DuplicateStates(config.dt)
         self._duplicates = self._slow = ""  # why the robot stands still for now
-        self._others = ""  # of the states before the first one
+        self._others = self._waiting = ""  # of the states before the first one, and what was logged of them
         self._stale = False
         self._ticks = self._rejected = self._steps = 0
         self._diagnosed = -float("inf")  # [s]
@@ -230,13 +232,24 @@ class AnsweringNode(WalkNode):
     def _check_timeout(self) -> None:
         """Stop the robot, once, if its states have timed out; in real time only, lockstep has no timeout."""
         if self._stamp < 0 and self._is_time_to_diagnose():
-            self._diagnose("WARN", f"waiting for {self.awaited}{self._others and f': {self._others}'}")
+            self._report_waiting()
         if self.lockstep or self._stale or self._stamp < 0 or not self._gate.watchdog.silent:
             return
         self._stale = True
         self._publish_zero()
         self.get_logger().warning(f"{self.states} timed out: commanding {self.stopping}", **throttled())
         self._diagnose("STALE", f"{self.states} timed out")
+
+    def _report_waiting(self) -> None:
+        """Report why there is no state yet, and log it when it changes: topics may have other names on a robot."""
+        text = f"waiting for {' and '.join(self.awaited)}"
+        absent = [topic for topic in self.awaited if not ros.publishers_of(self, topic)]
+        if why := self._others or (absent and f"no node publishes {' or '.join(absent)}"):
+            text += f": {why}"
+        self._diagnose("WARN", text)
+        if text != self._waiting:
+            self._waiting = text
+            self.get_logger().info(text)
 
     def _check_plants(self) -> None:
         """Stand still while two plants publish the robot's state."""

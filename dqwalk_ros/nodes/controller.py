@@ -114,7 +114,7 @@ class Controller(AnsweringNode):
         super().__init__("controller", options, **keywords)
         config = self.config
         if config.plant.imu:
-            self.awaited = "joint_states and imu"
+            self.awaited = ("joint_states", "imu")
         warm_up(config, self._model)
         self._controller = make_controller(config, self._model)
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE

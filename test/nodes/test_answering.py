@@ -103,7 +103,9 @@ def test_states_that_time_out_get_zero_once(make: Any) -> None:
 def test_before_the_first_state_it_says_what_it_waits_for(make: Any) -> None:
     walk = Answered(make)
     walk.node._check_timeout()
-    assert walk.got["diagnostics"][-1].status[0].message == "waiting for joint_states"
+    text = "waiting for joint_states: no node publishes joint_states"
+    assert walk.got["diagnostics"][-1].status[0].message == text
+    assert text in walk.one.log
     walk.one.clock.now += 1.0
     walk.node._check_timeout()
     assert not walk.sent

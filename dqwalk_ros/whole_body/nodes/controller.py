@@ -67,7 +67,7 @@ class WholeBodyController(AnsweringNode):
     gate = BodyGate
     _gate: BodyGate
     field, stopping = "effort", "zero torque"
-    states = awaited = "body state"
+    states, awaited = "body state", ("joint_states", "base_pose", "base_twist")
     what = "balance"
 
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
