@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from inside import state, until
+from rclpy.executors import SingleThreadedExecutor
 from ros2_control import EXTRA, ControllerManager
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -196,6 +197,43 @@ def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
     robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
     until(lambda: driven.tick() or len(one.got["plant_ready"]) > 1)
     assert one.got["plant_ready"][-1].data
+
+
+@pytest.mark.parametrize(
+    ("joints", "wrong"),
+    [
+        (NAMES, ""),
+        (NAMES[::-1], "has its joints in another order: set output.joints to [bust_x, "),
+        (NAMES[:5], "has its joints others than output.joints"),
+        (None, ""),
+    ],
+)
+def test_a_controller_with_joints_in_another_order_moves_nothing(make: Any, joints: Any, wrong: str) -> None:
+    """A Float64MultiArray has no names: the hip would follow the command of the ankle."""
+    driven = Driven(make)
+    one = driven.one
+    robot = one.foreign_node("forward_position_controller")
+    robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
+    if joints is not None:
+        robot.declare_parameter("joints", list(joints))
+    both = [SingleThreadedExecutor(context=node.context) for node in (driven.node, robot)]
+    for executor, node in zip(both, (driven.node, robot), strict=True):
+        executor.add_node(node)
+
+    def answered() -> bool:
+        driven.node._diagnose()
+        for executor in both:
+            executor.spin_once(0.02)
+        clients = driven.node._asked.values()
+        return bool(clients) and not any(client._pending_requests for client in clients)
+
+    until(answered)
+    driven.tick(0.1)
+    assert bool(driven.sent) == (not wrong)
+    assert one.got["plant_ready"][-1].data == (not wrong)
+    assert wrong in one.got["diagnostics"][-1].status[0].message or driven.node._blind.count(wrong)
+    for executor in both:
+        executor.shutdown()
 
 
 @pytest.mark.parametrize("kind", ["float64_multi_array", "joint_trajectory", "joint_state"])
