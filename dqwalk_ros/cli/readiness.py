@@ -284,9 +284,8 @@ def _check_plant_ready(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the plant accepts commands."""
     _require_heard(heard, "plant_ready")
     if heard.ready is False:
-        raise _Failed(
-            "plant_ready is false: call ~/activate of poppy_driver, or activate the controllers that drive uses"
-        )
+        why = heard.plant or "call ~/activate of poppy_driver, or activate the controllers that drive uses"
+        raise _Failed(f"plant_ready is false: {why}")
     if heard.warning:
         raise _Failed(f"plant_warning, so ~/start is refused: {heard.warning}")
     return "accepts commands" if heard.ready else "does not publish plant_ready"

@@ -43,6 +43,8 @@ class Heard:
         Messages of /diagnostics at the level ERROR, by name of the status.
     ready : bool or None
         Value of plant_ready; None if it is not published.
+    plant : str
+        Last message of the plant on /diagnostics.
     warning : str
         Value of plant_warning.
     publishers, subscribers : tuple of str
@@ -66,6 +68,7 @@ class Heard:
     imus: list[tuple[Imu, int]] = field(default_factory=list)
     errors: dict[str, str] = field(default_factory=dict)
     ready: bool | None = None
+    plant: str = ""
     warning: str = ""
     publishers: tuple[str, ...] = ()
     subscribers: tuple[str, ...] = ()
@@ -128,6 +131,8 @@ class Doctor(Node):
                 continue
             self.heard.diagnosed = True
             self.heard.errors.pop(status.name, None)
+            if status.name.endswith(": plant"):
+                self.heard.plant = status.message
             if status.level == DiagnosticStatus.ERROR:
                 self.heard.errors[status.name] = status.message
 

@@ -189,6 +189,11 @@ FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     ),
     "no subscriber": (lambda: robot(subscribers=()), "commands", "start poppy_driver"),
     "limp": (lambda: robot(ready=False), "plant", "~/activate"),
+    "other joints": (
+        lambda: robot(ready=False, plant="c has its joints in another order"),
+        "plant",
+        "in another order",
+    ),
     "warm": (lambda: robot(warning="l_knee_y is at 61 degC"), "plant", "~/start is refused: l_knee_y is at 61"),
     "hot": (lambda: robot(errors={"motors": "l_knee_y is 71 degC"}), "/diagnostics", "71 degC"),
 }
