@@ -100,10 +100,11 @@ def report(
         drawn: Iterable[Drawn] = figures.drawn(series)
         subjects = []
         if html or compare:
-            others = [_other(compare, namespace, walk)] if compare else []
+            own, *names = _names(bag, *filter(None, [compare]))
+            others = [_other(compare, name, namespace, walk) for name in names if compare]
             bar.stage(0.7, "drawing")
             drawn = list(drawn)
-            subjects = [page.Subject(_name(bag), series, found, statuses, drawn), *others]
+            subjects = [page.Subject(own, series, found, statuses, drawn), *others]
     extra = []
     if subjects:
         create(output.folder)
@@ -142,7 +143,7 @@ def _body(bag: Content, namespace: str | None, output: Report, sheet: Path | Non
         differ = f"Recorded and recomputed torques differ by at most {off:.2g} N m."
         with Progress(quiet=quiet) as bar:
             bar.stage(0.0, "writing the page")
-            page.write(sheet, _name(bag.path), walked, demands, [differ, *log.notes], overwrite=output.force)
+            page.write(sheet, _names(bag.path)[0], walked, demands, [differ, *log.notes], overwrite=output.force)
     for note in () if quiet else log.notes:
         print(f"note: {note}", file=sys.stderr)
     table = f"{render_checks(walked, demands)}\nrecorded and recomputed torques differ by at most {off:.2g} N m\n"
@@ -150,7 +151,7 @@ def _body(bag: Content, namespace: str | None, output: Report, sheet: Path | Non
     return 0 if found["ok"] else 1
 
 
-def _other(path: Path, namespace: str | None, walk: str) -> Subject:
+def _other(path: Path, name: str, namespace: str | None, walk: str) -> Subject:
     """Return the walk to be compared."""
     from dqwalk_ros import report as reporting
     from dqwalk_ros.report import bag, figures
@@ -162,13 +163,16 @@ def _other(path: Path, namespace: str | None, walk: str) -> Subject:
         raise ConfigError("--compare and --csv are not available for whole-body walks")
     series = reporting.analyse(bag.read(content, namespace=namespace, walk=walk))
     drawn = list(figures.drawn(series))
-    return Subject(_name(path), series, reporting.report(series), diagnostics_of(content), drawn)
+    return Subject(name, series, reporting.report(series), diagnostics_of(content), drawn)
 
 
-def _name(path: Path) -> str:
-    """Return the title of a bag: its folder, with the parent folder if its name is a default one."""
-    path = path.resolve()
-    return f"{path.parent.name}/{path.name}" if path.name in ("bag", "bag_1", "bag_2", "walk") else path.name
+def _names(*bags: Path) -> list[str]:
+    """Return the titles of bags: the ends of their paths, longer for a default name, or where they are the same."""
+    ends = [bag.resolve().parts[1:] for bag in bags]
+    length = 2 if any(end[-1] in ("bag", "bag_1", "bag_2", "walk") for end in ends) else 1
+    while len(set(ends)) > len({end[-length:] for end in ends}):
+        length += 1
+    return ["/".join(end[-length:]) for end in ends]
 
 
 def _csv(series: Series, output: Report) -> Path:

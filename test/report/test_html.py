@@ -9,12 +9,14 @@ import resource
 import time
 from base64 import b64decode
 from html import escape
+from pathlib import Path
 
 import numpy as np
 import pytest
 from recorded import repeated, rewrite, short_config, short_walk
 
 from dqwalk_ros import cli, load, load_model, make_controller, report, simulate
+from dqwalk_ros.cli.report import _names
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.plants.kinematic import KinematicPlant
@@ -112,6 +114,20 @@ def test_the_page_shows_the_origin_of_the_walk_and_of_the_report(path, tmp_path,
     assert "the &lt;lab&gt;" in text
     without_origin = rewrite(tmp_path / "old", tmp_path / "older", rename=lambda t: None if t == "/walk_origin" else t)
     assert bag.read(without_origin).origin == {}
+
+
+@pytest.mark.parametrize(
+    ("bags", "titles"),
+    [
+        (["/lab/one/bag"], ["one/bag"]),
+        (["/lab/one"], ["one"]),
+        (["/lab/one/walk/bag", "/lab/two/walk/bag"], ["one/walk/bag", "two/walk/bag"]),
+        (["/lab/one", "/lab/one"], ["one", "one"]),
+        (["/one", "/lab/one"], ["one", "lab/one"]),
+    ],
+)
+def test_walks_that_are_compared_have_titles_that_differ(bags, titles):
+    assert _names(*map(Path, bags)) == titles
 
 
 def test_two_walks_side_by_side(path, tmp_path, one_figure):
