@@ -60,8 +60,10 @@ from dqwalk_ros.support.text_table import aligned
 
 __all__ = ["FILES", "Adoption", "adopt", "changed", "table", "write_dynamic", "write_yaml"]
 
-FILES = ("robot.urdf", "robot.yaml", "dynamic.yaml", "paper.yaml", "whole_body.yaml", "robot.png", "adopt.json")
-"""Names of the files that `adopt` and `picture.draw` write."""
+FILES = (
+    "robot.urdf", "robot.yaml", "dynamic.yaml", "climb.yaml", "paper.yaml", "whole_body.yaml", "robot.png", "adopt.json"
+)  # fmt: skip
+"""Names of the files that `adopt`, `picture.draw` and `trial.climb` write."""
 _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""
 _ALIGNED = 1e-6
@@ -226,8 +228,8 @@ def _adopted(
     write_yaml(folder / "paper.yaml", paper, f"{about_it}: the walk of Urban & Adorno.", overwrite=overwrite)
     if whole_body:
         write_yaml(folder / "whole_body.yaml", whole_body, f"{about_it}: Sherikov et al.", overwrite=overwrite)
-    else:
-        (folder / "whole_body.yaml").unlink(missing_ok=True)  # of a robot that was adopted here before
+    for file in ("climb.yaml", *(() if whole_body else ("whole_body.yaml",))):
+        (folder / file).unlink(missing_ok=True)  # of a robot that was adopted here before
     config = load(folder / "robot.yaml")
     model = load_model(config.robot)
     evidence = (

@@ -56,6 +56,13 @@ ASSUMED = 0.75
 """Assumed damping of the servos, as a part of theirs: with 0.6 stiff legs tremble, with 1 their commands alternate."""
 HEAVY_LEGS = 0.65
 """Part of the robot's mass above which legs are too heavy for the dynamic walk, that of a pendulum on light legs."""
+CLIMBED, AHEAD, LATER = 0.11, 1.1, 1.25
+"""Height of a step that is climbed by touch as a part of the leg, length of the step onto it as one of the sole, and
+duration of the swing as one of that on the level."""
+HIGHEST = 0.1
+"""Largest height of such a step [m]."""
+_STAIR = 1.5
+"""Height from which a step is a stair, as a multiple of ``gait.footstep_tolerance``."""
 REFERENCE = 0.46
 """Leg length at which the dynamic walk has the lengths and times of Poppy's [m]; Poppy's own hips are 0.42 m high."""
 
@@ -469,6 +476,19 @@ def drive_parameters(drives: Mapping[str, MjcfDrive], numbers: Numbers) -> tuple
     ratio = 0.5 * damping / math.sqrt(stiffness * (numbers.inertia + rotor))
     values["servo.damping"] = rounded(damping / stiffness) if ratio > 0.3 else numbers.damping(stiffness, 0.5, rotor)
     return values, [entry]
+
+
+def climb_parameters(numbers: Numbers, dynamic: Config) -> list[Entry]:
+    """Return the parameters with which the `dynamic` walk climbs a step by touch; see config/overlays/climb.yaml."""
+    leg, sole, gait = numbers.anatomy.leg, numbers.model.soles[Foot.LEFT].length, dynamic.gait
+    stair = _STAIR * gait.footstep_tolerance
+    swing = rounded(LATER * dynamic.standing.swing_duration, 2)
+    return [
+        Entry("gait.climb", min(rounded(CLIMBED * leg, 2), HIGHEST), f"{CLIMBED:g} of a leg"),
+        Entry("gait.step_height", max(gait.step_height, stair), "a step that is lower does not stop the foot"),
+        Entry("gait.most_length", rounded(AHEAD * sole, 3), "so far ahead the foot lands on the step"),
+        Entry("standing.swing_duration", swing, f"{LATER:g} times that on the level"),
+    ]
 
 
 def dynamic_parameters(numbers: Numbers, damping: float, stiffness: float) -> list[Entry]:

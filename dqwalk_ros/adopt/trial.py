@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
-from dqwalk_ros.adopt.parameters import HEAVY_LEGS, Numbers, assumed, rounded
+from dqwalk_ros.adopt.parameters import HEAVY_LEGS, Numbers, assumed, climb_parameters, rounded
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -38,6 +38,10 @@ _EVERY = 10
 """Number of states of which one is searched for links that touch each other."""
 _LIGHTER = 0.1
 """Factor of ``task.posture_weight`` with which a joint at its limit holds the CoM less off its goal."""
+_FLAT, _TREAD, _SPARE = 0.3, 0.25, 14
+"""Least way to a step and on it [m], and the number of steps with which a robot climbs it; both ways suit two soles."""
+_LONGEST = 120.0
+"""Longest time of a climb [s]."""
 _YIELDS, _SHORTER = 0.4, 0.7
 """Factors of ``servo.window`` and of the length of a step that may cure a dynamic walk."""
 
@@ -207,6 +211,33 @@ def dynamic_walks(
     write_dynamic(found.folder, found.numbers, entries, given, best(walks).changes, overwrite=True)
 
 
+def climb(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> str:
+    """Walk in physics up a step that the dynamic walk does not know; return what the robot did there.
+
+    If it climbs it, ``climb.yaml`` has the parameters of this, for ``--params``; otherwise there is no such file.
+    """
+    file, config = found.folder / "climb.yaml", load(found.folder / "dynamic.yaml")
+    entries = climb_parameters(found.numbers, config)
+    changes: dict[str, Any] = {entry.what: entry.value for entry in entries}
+    sole = found.model.soles[Foot.LEFT].length
+    rise, at, tread = changes["gait.climb"], max(_FLAT, sole), max(_TREAD, 2.0 * sole)
+    changes |= {"physics.rise": rise, "physics.stairs_at": at, "physics.tread": tread}
+    changes["gait.steps"] = math.ceil((at + 0.5 * tread) / config.gait.step_length) + _SPARE
+    file.unlink(missing_ok=True)
+    step = f"a step of {1e3 * rise:.0f} mm that it does not know"
+    try:
+        trace = _walked(config.updated(changes), found.model, "physics", progress, _LONGEST)
+    except DqwalkError as error:
+        return f"climb: {step} is too high: {error}"
+    if not trace.finished:
+        return f"climb: at {step}: {'; '.join(trace.notes) or f'not on it after {_LONGEST:g} s'}"
+    if _distance(trace, axis=2) < 0.5 * rise:
+        return f"climb: it stays in front of {step}"
+    title = f"{found.model.name} climbs by touch: dynamic.yaml with --params climb.yaml (docs/dynamic.md)."
+    write_yaml(file, entries, title, overwrite=True)
+    return f"climb: climbed {step}"
+
+
 def best(walks: Sequence[Trial]) -> Trial:
     """Return the walk that stood, got as far as planned, and has the fewest violations; the first of equal ones."""
     return min(walks, key=lambda walk: (not walk.stood, bool(walk.violations) and walk.short, walk.violations))
@@ -232,15 +263,10 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
 
     An error of the walk is the `note` of the result.
     """
-    changed = config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {})
-    changed = changed.updated({"gait.recover": ""})  # the walk has to stand by itself
-    if plant == "physics":
-        changed = overlaid(changed, plant)
     try:
-        controller, body = make_controller(changed, model), make_plant(plant, changed, model)
-        trace = simulate(controller, body, progress=lambda done, text: progress(done, f"{plant}: {text}"))
-        if trace.interrupted:
-            raise KeyboardInterrupt  # and no other trial begins
+        trace = _walked(
+            config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {}), model, plant, progress
+        )
     except DqwalkError as error:
         return Trial(plant, False, 0.0, 0.0, str(error))
     series = analyse(trace)
@@ -253,6 +279,23 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
     note = f"{found[0].message}" + (f", and {len(found) - 1} more" if len(found) > 1 else "") if found else ""
     touching = legs_touching(model, trace.q[::_EVERY], find_urdf(config.robot.urdf)) if plant == "physics" else ""
     return Trial(plant, True, _distance(trace), planned, note, len(found), load=most_loaded(trace), touching=touching)
+
+
+def _walked(
+    config: Config,
+    model: RobotModel,
+    plant: str,
+    progress: Callable[[float, str], None],
+    most: float | None = None,
+) -> Trace:
+    """Return the trace of a walk that has to stand by itself, of at most `most` seconds; see `walk`."""
+    config = config.updated({"gait.recover": ""})
+    config = overlaid(config, plant) if plant == "physics" else config
+    controller, body = make_controller(config, model), make_plant(plant, config, model)
+    trace = simulate(controller, body, max_time=most, progress=lambda done, text: progress(done, f"{plant}: {text}"))
+    if trace.interrupted:
+        raise KeyboardInterrupt  # and no other trial begins
+    return trace
 
 
 def legs_touching(model: RobotModel, q: Array, near: str | os.PathLike[str] = ".") -> str:
@@ -284,12 +327,12 @@ def legs_touching(model: RobotModel, q: Array, near: str | os.PathLike[str] = ".
     )
 
 
-def _distance(trace: Trace) -> float:
-    """Return the displacement of the pelvis along x [m]: the true one in physics, else that of leg odometry."""
+def _distance(trace: Trace, axis: int = 0) -> float:
+    """Return the displacement of the pelvis along an axis [m]: the true one in physics, else that of leg odometry."""
     physics = trace.physics
     known = physics is not None and np.isfinite(physics.pelvis).any()
     poses = physics.pelvis if physics is not None and known else pelvis_in_odom(trace)
-    x = DQ(poses[np.isfinite(poses[:, 0])]).translation()[:, 0]
+    x = DQ(poses[np.isfinite(poses[:, 0])]).translation()[:, axis]
     return float(x[-1] - x[0])
 
 

@@ -36,6 +36,7 @@ writes to the folder of --out:
   robot.urdf       the robot repaired, with soles; the original is not changed
   robot.yaml       the standing walk; a comment beside each number gives its source
   dynamic.yaml     the dynamic walk, several times as fast
+  climb.yaml       what the dynamic walk needs to climb steps by touch (--params), if it does so
   paper.yaml       the walk of Urban & Adorno
   whole_body.yaml  the whole-body controller, if the robot has ankle roll joints and arms
   robot.png        the robot in its posture, soles, CoM, and forward direction
@@ -214,7 +215,7 @@ def _what(changes: Mapping[str, object]) -> str:
 
 def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
     """Test the walks, print their results, and return the exit code."""
-    from dqwalk_ros.adopt.trial import Trial, best, dynamic_walks, first_walks
+    from dqwalk_ros.adopt.trial import Trial, best, climb, dynamic_walks, first_walks
     from dqwalk_ros.cli.progress import Progress
 
     last, fast = None, list[Trial]()
@@ -226,7 +227,9 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
         for result, cure in dynamic_walks(found, given, last.changes if last and stands else {}, bar):
             bar.print(f"{result}" + (f" {'in spite of' if result.note else 'cured by'}: {cure}" if cure else ""))
             fast.append(result)
-    quick = best(fast)
+        quick = best(fast)
+        if quick.stood and not quick.note:
+            bar.print(climb(found, bar))
     if len(fast) > 1:
         print(f"{found.folder / 'dynamic.yaml'} has {_what(quick.changes) or 'no changes'}")
     steps = quick.stood and (stands or not quick.note)

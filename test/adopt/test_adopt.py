@@ -21,10 +21,11 @@ from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt, trial, write_yaml
 from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
+from dqwalk_ros.adopt.parameters import climb_parameters
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.adopt.trial import Trial, cures, dynamic_walks, first_walks, legs_touching, too_much
 from dqwalk_ros.cli.adopt import _walk
-from dqwalk_ros.config import load, overlaid
+from dqwalk_ros.config import load, overlaid, with_files
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import own_contacts
@@ -410,9 +411,11 @@ def test_a_robot_is_adopted_whose_standing_or_dynamic_walk_walks(
 ) -> None:
     monkeypatch.setattr(trial, "first_walks", lambda *_: [(standing, "")])
     monkeypatch.setattr(trial, "dynamic_walks", lambda *_: [(dynamic, "")])
+    monkeypatch.setattr(trial, "climb", lambda *_: "climb: tried")
     assert _walk(SimpleNamespace(folder=Path("robot")), {}, quiet=True) == code
     lines = capsys.readouterr().out.splitlines()
     assert re.match(last, lines[-1])
+    assert ("climb: tried" in lines) == (dynamic.stood and not dynamic.note)
     walks = (("robot.yaml", standing.stood), ("dynamic.yaml", dynamic.stood and not code))
     told = [line for line in lines if line.startswith("dqwalk simulate")]
     assert told == [f"dqwalk simulate --config robot/{file} --plant physics" for file, good in walks if good]
@@ -529,3 +532,19 @@ def test_links_with_meshes_meet_by_their_convex_hulls(tmp_path: Path) -> None:
     assert own_contacts(meshed, q, file) == expected
     shutil.rmtree(tmp_path / "shapes")
     assert "not available" in legs_touching(meshed, q, file)
+
+
+def test_the_dynamic_walk_climbs_a_step_by_touch_or_there_is_no_file_for_it(
+    small: Adoption, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = small.folder / "climb.yaml"
+    assert re.fullmatch(r"climb: climbed a step of 3\d mm that it does not know", trial.climb(small))
+    dynamic = load(small.folder / "dynamic.yaml")
+    climbing = with_files(dynamic, [file])
+    assert climbing.gait.climb == pytest.approx(0.11 * small.anatomy.leg, rel=0.02)
+    assert climbing.standing.swing_duration > dynamic.standing.swing_duration
+    entries = climb_parameters(small.numbers, dynamic)
+    entries[0] = replace(entries[0], value=0.058)  # a fifth of the leg
+    monkeypatch.setattr(trial, "climb_parameters", lambda *_: entries)
+    assert not trial.climb(small).startswith("climb: climbed")
+    assert not file.exists()
