@@ -240,14 +240,19 @@ def test_the_time_of_the_states_is_that_of_the_commands(rig: Rig) -> None:
 
 
 def test_angles_are_fresh_up_to_their_maximum_age(rig: Rig) -> None:
-    rig.plant.measured.at[:] = 0.0
+    gate = rig.plant._gate
+    gate.use(gate.q, 0.0)
     rig.memory.clock.now = MAX_AGE
     assert rig.plant.fresh
     rig.memory.clock.now = np.nextafter(MAX_AGE, 1.0)
     assert not rig.plant.fresh
-    rig.memory.clock.now = 0.0
-    rig.plant.measured.at[-1] = -0.2
+    at = np.full(len(gate.at), rig.memory.clock.now)
+    at[-1] = 0.0  # the last motor has not answered since
+    gate.measure(gate.q.copy(), at, moving=False)
     assert not rig.plant.fresh, "the oldest angle counts"
+    at[-1] = rig.memory.clock.now
+    gate.measure(gate.q.copy(), at, moving=False)
+    assert rig.plant.fresh
 
 
 def test_nothing_moves_when_the_torque_is_switched_on() -> None:
