@@ -75,8 +75,6 @@ class AngleGate:
         Angles to be used [rad]; nan before the first.
     at : ndarray, shape (N,)
         Times at which they were measured [s]; -inf before the first.
-    oldest : float
-        The least of these times [s].
     jumps : ndarray of int, shape (N,)
         Consecutive impossible angles of each joint.
     rejected : int
@@ -98,7 +96,6 @@ class AngleGate:
         self._speed, self._slack = np.minimum(speed, FASTEST), np.broadcast_to(slack, (n,)).astype(np.float64)
         self._longest, self._timeout = longest, timeout
         self.q, self.at = np.full(n, np.nan), np.full(n, -np.inf)
-        self.oldest = -math.inf
         self._last, self._last_at = np.full(n, np.nan), np.full(n, -np.inf)  # used or not
         self.jumps, self._agreeing = np.zeros(n, np.intp), np.zeros(n, np.intp)
         self.rejected = 0
@@ -108,6 +105,12 @@ class AngleGate:
     def known(self) -> bool:
         """Whether every joint has an angle to be used."""
         return bool(np.isfinite(self.q).all())
+
+    @property
+    def oldest(self) -> float:
+        """Time at which the oldest of the angles was measured [s]."""
+        time: float = _least(self.at)
+        return time
 
     def age(self, time: float) -> float:
         """Return the age of the oldest of the angles at `time` [s]."""
@@ -119,7 +122,7 @@ class AngleGate:
 
     def use(self, q: Array, time: float) -> None:
         """Use angles (N,) [rad] without a check, such as those of a simulated robot at its start."""
-        self.q[:], self.at[:], self.oldest = q, time, time
+        self.q[:], self.at[:] = q, time
         self._last[:], self._last_at[:] = q, time
 
     def measure(self, q: Array, at: Array, moving: bool) -> Mask:
@@ -135,7 +138,7 @@ class AngleGate:
             Whether commands move the joints.
         """
         taken = np.zeros(len(q), np.bool_)
-        rejected, jumps, self.oldest = _judge(
+        rejected, jumps = _judge(
             q, at, moving, self._speed, self._slack, self._longest(),
             self.q, self.at, self._last, self._last_at, self.jumps, self._agreeing, taken,
         )  # fmt: skip
@@ -153,7 +156,7 @@ class AngleGate:
     def forget(self) -> None:
         """Use no angle, and clear the fault, until `JUMPS` in a row agree."""
         self.forgive()
-        self.q[:], self.at[:], self.oldest, self._agreeing[:] = np.nan, -np.inf, -math.inf, 0
+        self.q[:], self.at[:], self._agreeing[:] = np.nan, -np.inf, 0
 
 
 class ServoGoals:
@@ -351,13 +354,20 @@ def _clipped(values: Array, most: Array) -> Array:
 
 
 @jit
+def _least(at: Array) -> float:
+    """Return the least of the times `at` (N,) [s], in a tenth of the time that numpy takes."""
+    least: float = at.min()
+    return least
+
+
+@jit
 def _judge(
     q: Array, at: Array, moving: bool, speed: Array, slack: Array, longest: float, used: Array, used_at: Array,
     last: Array, last_at: Array, jumps: NDArray[np.intp], agreeing: NDArray[np.intp], taken: Mask,
-) -> tuple[int, int, float]:  # fmt: skip
+) -> tuple[int, int]:  # fmt: skip
     """Store which of the angles q (N,), measured at the times `at` (N,), are used.
 
-    Return how many are impossible, the most consecutive ones of a joint, and when the oldest used one was measured.
+    Return how many are impossible, and the most consecutive ones of a joint.
     """
     far = _unreachable(q, used, np.minimum(at - used_at, longest), speed, slack)
     apart = _unreachable(q, last, np.minimum(at - last_at, longest), speed, slack)
@@ -373,7 +383,7 @@ def _judge(
             used[i], used_at[i], jumps[i] = q[i], at[i], 0
         elif np.isfinite(used[i]):
             rejected += 1
-    return rejected, jumps.max(), used_at.min()
+    return rejected, jumps.max()
 
 
 @jit
