@@ -244,5 +244,6 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
         )
         return 1
     each = ", ".join(f"{name} {'stands in physics' if good else end}" for name, good, end in walks.values())
-    print(f"adopted: {'the standing and the dynamic walk stand in physics' if stands and steps else each}")
+    but = ", but the report of the dynamic walk is not OK" if steps and quick.note else ""
+    print(f"adopted: {'the standing and the dynamic walk stand in physics' if stands and steps else each}{but}")
     return 0

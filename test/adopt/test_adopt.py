@@ -415,6 +415,7 @@ def test_a_robot_is_adopted_whose_standing_or_dynamic_walk_walks(
     assert _walk(SimpleNamespace(folder=Path("robot")), {}, quiet=True) == code
     lines = capsys.readouterr().out.splitlines()
     assert re.match(last, lines[-1])
+    assert lines[-1].endswith("is not OK") == (dynamic.stood and bool(dynamic.note) and not code)
     assert ("climb: tried" in lines) == (dynamic.stood and not dynamic.note)
     walks = (("robot.yaml", standing.stood), ("dynamic.yaml", dynamic.stood and not code))
     told = [line for line in lines if line.startswith("dqwalk simulate")]
