@@ -447,6 +447,15 @@ def test_the_ground_is_inclined_as_the_soles_are_in_the_mean() -> None:
     assert ground.tip(slope, 1e-3) == pytest.approx(DQ(1.0).vec8(), abs=2e-3)
 
 
+def test_the_pressure_is_aimed_further_inside_after_a_step_on_an_inclined_sole() -> None:
+    """Until two steps have ended on soles that are level but for the noise of the sensor."""
+    ground, found = Ground(np.array([0.0, 0.0, 1.0])), []
+    for tilt in (0.4, 0.0, 0.6, 0.3, 0.4, 2.0):
+        ground.end_step(math.radians(tilt))
+        found.append(ground.inward > 0.0)
+    assert found == [False, False, True, True, False, True]
+
+
 def still(time: float, q: np.ndarray, up: np.ndarray, elapsed: float) -> State:
     state = State(time, q, dq=np.zeros(MODEL.n), up=up, gyro=np.zeros(3))
     state.elapsed = elapsed
@@ -936,9 +945,8 @@ def test_poppy_as_built_walks_dynamically(gain: int) -> None:
 
 ON_RUBBLE = CONFIG.updated(
     {
-        "gait.steps": 17, "gait.step_length": 0.0328, "standing.swing_duration": 0.31, "standing.eta_feet": 0.6,
-        "servo.window": 0.004, "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"], "servo.p_gain": 254,
-        "physics.rubble": 0.005, "sensors.attitude_noise": 0.004, "sensors.gyro_noise": 0.02,
+        "gait.steps": 14, "gait.step_length": 0.04, "servo.types": ["*=MX-28", "?_hip_y=MX-64", "abs_[xy]=MX-64"],
+        "servo.p_gain": 254, "physics.rubble": 0.005, "sensors.attitude_noise": 0.004, "sensors.gyro_noise": 0.02,
         "sensors.encoder": 0.001534, "sensors.velocity_filter": 0.01,
     }
 )  # fmt: skip
@@ -956,15 +964,9 @@ def test_three_stairs_are_walked_by_footsteps(overlays: list[str], up: float) ->
 
 
 @pytest.mark.long
-def test_yielding_legs_walk_on_rubble_of_5_mm() -> None:
-    """With a window of 0.15 rad, so legs as stiff as their servos, two of these four walks fall."""
-    walked = [robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}) for seed in (6, 7, 8, 9)]
-    assert sum(one.stood and one.steps >= 17 for one in walked) >= 3, walked
-
-
-@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_nearly_all_walks_on_rubble_stand() -> None:
+    """With the same aim as on level ground five of these fall."""
     stood = sum(robustness.walk(ON_RUBBLE, 0, {"sensors.seed": seed}).stood for seed in range(1, 21))
     print(f"\nrubble of 5 mm: {stood} of 20 stood")
     assert stood >= 18

@@ -2,7 +2,8 @@
 
 A push tips the supporting sole on its edge, and with it all that is planned in its axes: a swing foot that lands 95 mm
 beside a sole that has tipped by one degree is 1.7 mm too high, and carries no weight when it should. The inertial
-sensor measures the inclination of the sole; its mean over several steps is that of the ground.
+sensor measures the inclination of the sole; its mean over several steps is that of the ground. Where soles stand
+inclined against it, the ground is uneven.
 """
 
 from __future__ import annotations
@@ -18,6 +19,11 @@ from dqwalk_ros.walks.footprint import Footprint
 
 _MEMORY = 2.0
 """Time constant of the mean inclination of the supporting soles [s]."""
+_INWARD = 0.17
+"""Part of a sole's width by which the pressure is aimed further inside on uneven ground."""
+_UNEVEN = math.radians(0.5)
+"""Inclination of one of the last two soles above which the ground is uneven; on level ground noise and servos incline a
+sole by at most 0.4 degrees when the other foot lands [rad]."""
 
 
 class Ground:
@@ -36,6 +42,19 @@ class Ground:
 
     def __init__(self, up: Array) -> None:
         self.vertical = up.copy()
+        self._inclined = 0.0, 0.0  # inclinations of the last two soles when the other foot landed [rad]
+
+    @property
+    def inward(self) -> float:
+        """Part of a sole's width by which its pressure is aimed further inside, on uneven ground.
+
+        An overshoot inwards is caught by the next step, one outwards is not.
+        """
+        return _INWARD if max(self._inclined) > _UNEVEN else 0.0
+
+    def end_step(self, tilt: float) -> None:
+        """Include the sole that stood, inclined by `tilt` against the ground [rad], when the other one has landed."""
+        self._inclined = self._inclined[1], tilt
 
     def change_base(self, other: Footprint) -> None:
         """Change to the axes of the other sole; `other` is the footprint of the previous one in these axes."""

@@ -557,9 +557,12 @@ class DynamicWalk(SteppingWalk):
         self._trunk_roll = next((task for task in phase.tasks if isinstance(task, AtRest)), None)
         self._trunk_held = None  # as the last phase of this kind has left it
         landed = before is not None and before.kind is PhaseKind.SINGLE_SUPPORT and before.base is phase.base
-        self._tipped = kin.up if landed and self._ground.inclination(kin.up) > _TIPPED else None
+        tilt = self._ground.inclination(kin.up) if landed else 0.0
+        self._tipped = kin.up if tilt > _TIPPED else None
         self._pushed = self._flight.most > self._threshold if self._flight else self._pushed
         self._outwards = self._flight.outwards if self._flight else 0.0
+        if landed and not self._on_stairs and self._outwards <= _OUTWARDS * self._threshold:
+            self._ground.end_step(tilt)  # not of a sole that stands over an edge, nor of one that a push has tipped
         self._flight = None
         omega, rule, sole = self.pendulum.omega, phase.rule, self.model.soles[phase.base]
         outline = sole.outline
@@ -656,8 +659,9 @@ class DynamicWalk(SteppingWalk):
 
     def _aim(self, foot: Foot, stands: Footprint) -> Array:
         """Return the middle of the planned pressure on the sole of `foot` at the pose `stands`, shape (2,) [m]."""
-        d, side = self.config.dynamic, 1.0 if foot is Foot.LEFT else -1.0
-        return stands.points(self.model.soles[foot].center[:2] + np.array([d.aim_ahead, -side * d.aim_inside]))
+        d, sole, side = self.config.dynamic, self.model.soles[foot], 1.0 if foot is Foot.LEFT else -1.0
+        inside = d.aim_inside + self._ground.inward * sole.width
+        return stands.points(sole.center[:2] + np.array([d.aim_ahead, -side * inside]))
 
     def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
         """Return the feedforward torques for a ground reaction force through the zero-moment point, shape (n,) [N m].
