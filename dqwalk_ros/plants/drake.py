@@ -131,12 +131,13 @@ class DrakePlant(EnginePlant):
                     points.append(world.RegisterCollisionGeometry(body, at, Sphere(_RADIUS), name, properties))
         # the same material as that of the points, so that each contact has the stiffness of its point
         floor = material(4.0 / (len(points) / 2))
-        world.RegisterCollisionGeometry(
-            world.world_body(), RigidTransform([0.0, 0.0, height]), HalfSpace(), "floor", floor
-        )
         for i, box in enumerate(boxes):
             at = RigidTransform(RollPitchYaw(0.0, 0.0, box.turn), box.at)
             world.RegisterCollisionGeometry(world.world_body(), at, Box(*(2.0 * np.array(box.half))), f"box {i}", floor)
+        # last: Drake 1.51 ends the process while it sorts hundreds of boxes beside a shape of infinite size
+        world.RegisterCollisionGeometry(
+            world.world_body(), RigidTransform([0.0, 0.0, height]), HalfSpace(), "floor", floor
+        )
         return points
 
     def _seat(self, q: Array, root: Array | None) -> None:

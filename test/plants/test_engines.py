@@ -176,6 +176,14 @@ def test_rubble_is_walked_on(engine: str) -> None:
     assert found["physics"]["displacement"][0] > 0.2
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_robot_stands_beside_rubble(engine: Any) -> None:
+    """Hundreds of boxes beside an infinite floor; in another order they end the process in Drake."""
+    plant = made(engine, physics__rubble=0.005)
+    still(plant, 8)
+    assert min(plant.truth.wrenches[foot][2] for foot in Foot) > 5.0
+
+
 @pytest.mark.parametrize("rise", [0.02, -0.02])
 @pytest.mark.parametrize("engine", ENGINES)
 def test_stairs_are_stood_on(engine: Any, rise: float) -> None:
