@@ -540,11 +540,14 @@ def test_the_ground_stays_as_it_is_when_the_base_changes_to_a_turned_foot() -> N
     assert swing_target(config, q, before, up, 80)[2] == pytest.approx(0.0, abs=2e-4)
 
 
-@pytest.mark.parametrize(("length", "impulse", "part"), [(0.0, 0.4, 0.5), (0.0, 0.6, 0.1), (0.05, 0.75, 0.5)])
+@pytest.mark.parametrize(
+    ("length", "impulse", "part"), [(0.0, 0.4, 0.5), (0.0, 0.6, 0.1), (0.05, 0.75, 0.5), (0.05, 0.7, 0.1)]
+)
 def test_a_push_that_tips_the_sole_outwards_is_caught(length: float, impulse: float, part: float) -> None:
     """A swing foot that lands, or is held, in the plane of the tipped sole carries no weight.
 
-    The trunk must not be thrown against the largest one of these pushes.
+    The trunk must not be thrown against the largest one of these pushes, and the sole that the last one tips must
+    not be taken for uneven ground.
     """
     config = overlaid(CONFIG, "physics").updated({"gait.step_length": length, "qp.solver": "daqp"})
     assert not pushed(config, Push("left", 0.5 * math.pi, impulse, part=part))
