@@ -11,14 +11,10 @@ import argparse
 import array
 import math
 from collections import deque
-from functools import partial
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.srv import GetParameters
-from rclpy.client import Client
 from rclpy.duration import Duration
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -26,6 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.command_input import CommandInput
+from dqwalk_ros.nodes.robot_controllers import RobotControllers
 from dqwalk_ros.nodes.safety import ClockSteps
 from dqwalk_ros.plants.servo_goals import JUMPS, ServoGoals
 from dqwalk_ros.robot.limits import outside_limits
@@ -49,8 +46,6 @@ _TYPES = {
 }
 _CHECK = 0.02
 """Period of the check whether states and commands still arrive [s]."""
-_TRIES = 50
-"""Checks after which a controller that has not answered is trusted: its node may have no parameters."""
 _REPEATED = 1.0
 """Time for which the command to stay is repeated [s]."""
 _PERIODS = 2.0
@@ -78,7 +73,8 @@ class RobotDrive(WalkNode):
         forward_velocity_controller/commands           the same [rad/s]
         joint_trajectory_controller/joint_trajectory   trajectory_msgs/JointTrajectory of one point [rad]
         joint_commands                                 sensor_msgs/JointState [rad or rad/s]
-        plant_ready              std_msgs/Bool, latched: whether that topic has a subscriber, and states arrive
+        plant_ready              std_msgs/Bool, latched: whether states arrive, and that topic has a subscriber, which
+                                 for a Float64MultiArray must have the joints and the interface of `output`
         /diagnostics             diagnostic_msgs/DiagnosticArray
 
     Services::
@@ -128,9 +124,8 @@ class RobotDrive(WalkNode):
         self._stamp, self._steps = -1, ClockSteps()  # of the last state [ns]
         self._moved = self._stopped = 0.0  # times of the last command, and since when the robot stays [s]
         self._blind = ""  # why no command can have an effect
-        self._asked: dict[str, Client] = {}  # subscribers of the output, for the order of their joints
-        self._disorders: dict[str, str] = {}  # of those that have another one
-        self._unknown = 0 if config.output.type == "float64_multi_array" else _TRIES  # checks without an answer
+        unnamed = self._joints if o.type == "float64_multi_array" else ()
+        self._controllers = RobotControllers(self, self._output, unnamed, o.interface, self.steady)
         self._last: Array | None = None  # values sent last
         self._led, self._holds, self._next = np.zeros((3, len(own)))  # by velocity: see `_lead_to`
         self._rejected = 0
@@ -220,72 +215,38 @@ class RobotDrive(WalkNode):
     def _check(self) -> None:
         """Command the robot to stay while it must; repeatedly, because a message may be lost."""
         self._commands.log_motion()
-        if self._unknown < _TRIES and self._output.get_subscription_count():
-            self._unknown += 1
-            self._ask_for_order()
+        self._controllers.look()
         self._look()
         if self._blind or self._commands.gate.holding:
             self._stay()
 
     def _look(self) -> None:
         """Find out whether commands can have an effect."""
-        gate, fault, topic, before = self._law.gate, self._law.fault, self._output.topic_name, self._blind
+        gate, fault, before = self._law.gate, self._law.fault, self._blind
         self._blind = ""
         if self._stamp < 0:
             self._blind = "no joint_states yet"
-        elif self._disorders:
-            self._blind = "; ".join(self._disorders.values())
         elif fault:
-            advice = "check its sensor" if gate.fault else "this node cannot switch its torque off, do so"
+            torque = "unless another controller moves it, switch its torque off, which this node cannot"
+            advice = "check its sensor" if gate.fault else torque
             self._blind = f"{fault}: {advice}, then ~/reset"
         elif not gate.known:
             self._blind = f"{JUMPS} joint_states that agree have not arrived yet"
         elif not gate.fresh(self._now()):
             self._blind = f"no valid joint_states for {self.config.plant.command_timeout:g} s"
+        else:
+            self._blind = self._controllers.trouble
         if self._law.active and self._blind not in ("", before):
             self.get_logger().error(f"stopping: {self._blind}")
         self._commands.forbid(self._blind if self._law.active or fault else "")
         self._commands.unable = self._blind if not self._commands.gate.refused else ""
-        if not self._blind and not self._output.get_subscription_count():
-            self._commands.unable = f"no node subscribes to {topic}: is the robot's controller active?"
-        elif not self._blind and self._unknown < _TRIES:
-            self._commands.unable = f"asking the controller on {topic} for its joints"
-
-    def _ask_for_order(self) -> None:
-        """Ask each controller for its joints: a Float64MultiArray has no names, and a wrong order moves wrong joints.
-
-        Those of ros2_control have them in their parameter `joints`; a node without it is trusted.
-        """
-        if self.config.output.type != "float64_multi_array":
-            return
-        ends = self.get_subscriptions_info_by_topic(self._output.topic_name)
-        names = {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends}
-        for gone in self._asked.keys() - names:
-            self.destroy_client(self._asked.pop(gone))
-            self._disorders.pop(gone, None)
-        for name in names - self._asked.keys():
-            client = self.create_client(GetParameters, f"{name}/get_parameters")
-            if not client.wait_for_service(0.0):
-                self.destroy_client(client)  # until the next time
-                continue
-            self._asked[name] = client
-            asked = client.call_async(GetParameters.Request(names=["joints"]))
-            asked.add_done_callback(partial(self._on_order, name))
-
-    def _on_order(self, name: str, answer: Future) -> None:
-        values = getattr(answer.result(), "values", ())  # None, if it was withdrawn
-        self._unknown = _TRIES
-        joints = [joint for value in values for joint in value.string_array_value]
-        if name in self._asked and joints and tuple(joints) != tuple(self._joints):
-            what = "in another order" if set(joints) == set(self._joints) else "others than output.joints"
-            self._disorders[name] = f"{name} has its joints {what}: set output.joints to [{', '.join(joints)}]"
-            self.get_logger().error(self._disorders[name])
 
     def _stay(self) -> None:
         """Command the robot to stay: with the last positions, or with zero velocity; after a while, nothing more."""
         if self._last is not None and self._law.active:
             position = self.config.output.interface == "position"
-            self._publish(self._last if position else np.zeros_like(self._last))
+            if not (position and self._controllers.trouble):  # positions in a wrong order are a motion
+                self._publish(self._last if position else np.zeros_like(self._last))
             self._rest_at(self._law.goal)
             if self._now() - self._stopped > _REPEATED:
                 self._law.end()  # the robot may be switched off and moved by hand
@@ -321,7 +282,6 @@ class RobotDrive(WalkNode):
             self._output.publish(JointState(header=header, name=list(self._joints), **{o.interface: data}))
 
     def _diagnose(self) -> None:
-        self._ask_for_order()
         level, text = self._commands.level()
         if not self.uses_sim_time and self.count_publishers("/clock"):
             own = "/clock is published, but use_sim_time is false: a simulated robot would move at another speed"

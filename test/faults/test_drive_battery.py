@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from inside import state
-from ros2_control import ControllerManager
+from ros2_control import ControllerManager, Known
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -82,6 +82,7 @@ class Battery:
         plant = make_plant("physics", config.updated({"servo.window": 1.0}), MODEL)
         self._robot = ControllerManager(plant, interface, NAMES, MODEL.imu, rate)
         self._drive = make("drive", config)
+        self._drive.node._controllers = Known()
         self._node, self._sent = self._drive.node, self._drive.got[TOPIC[interface]]
         self._fastest = MODEL.velocity_max
         self._most = np.abs(Drive.of(config, MODEL).angles(MODEL.effort_max))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from inside import state, until
 from rclpy.executors import SingleThreadedExecutor
-from ros2_control import EXTRA, ControllerManager
+from ros2_control import EXTRA, ControllerManager, Known
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
@@ -48,6 +48,7 @@ class Ros2ControlWalk:
         servos = self.config.updated({"servo.window": 1.0, "servo.assumed_lead": 0.0})
         self.robot = ControllerManager(make_plant("physics", servos, MODEL), interface, joints, MODEL.imu, rate)
         self.controller, self.drive = make("controller", self.config), make("drive", self.config)
+        self.drive.node._controllers = Known()
         self.controller.send("plant_ready", Bool(data=True))
         self.output, self._commands = self.drive.got[TOPIC[interface]], self.controller.got["joint_velocity_commands"]
         self._received = 0
@@ -145,10 +146,12 @@ class Driven:
         Measured angles [rad].
     """
 
-    def __init__(self, make: Any, *, known: bool = True, **settings: Any) -> None:
+    def __init__(self, make: Any, *, known: bool = True, asks: bool = False, **settings: Any) -> None:
         self.config = POPPY.updated({name.replace("__", "."): value for name, value in settings.items()})
         self.one = make("drive", self.config)
         self.node, self.log, self.q = self.one.node, self.one.log, POSTURE.copy()
+        if not asks:
+            self.node._controllers = Known()
         o = self.config.output
         self.topic = o.topic or TOPIC[o.interface]
         for _ in range(3 if known else 0):
@@ -187,52 +190,95 @@ class Driven:
 
 def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
     """The walk waits until the output topic has a subscriber."""
-    driven = Driven(make)
+    driven = Driven(make, asks=True, output__type="joint_state", output__topic="joint_commands")
     one = driven.one
     one.tick()
+    driven.tick(0.0)
     assert not driven.sent
     assert [msg.data for msg in one.got["plant_ready"]] == [False]
-    assert "no node subscribes to /forward_position_controller/commands" in one.got["diagnostics"][-1].status[0].message
+    assert "no node subscribes to /joint_commands" in one.got["diagnostics"][-1].status[0].message
     robot = one.foreign_node("controller_manager")
-    robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
+    robot.create_subscription(JointState, "joint_commands", lambda _: None, 1)
     until(lambda: driven.tick() or len(one.got["plant_ready"]) > 1)
     assert one.got["plant_ready"][-1].data
 
 
 @pytest.mark.parametrize(
-    ("joints", "wrong"),
+    ("parameters", "wrong"),
     [
-        (NAMES, ""),
-        (NAMES[::-1], "has its joints in another order: set output.joints to [bust_x, "),
-        (NAMES[:5], "has its joints others than output.joints"),
-        (None, ""),
+        ({"joints": NAMES, "interface_name": "position"}, ""),
+        ({"joints": NAMES[::-1]}, "/robot has its joints in another order: set output.joints to [bust_x, "),
+        ({"joints": NAMES[:5]}, "/robot has its joints others than output.joints"),
+        ({"joints": NAMES, "interface_name": "velocity"}, "/robot takes velocity, not position: set output.interface"),
+        ({}, ""),
     ],
 )
-def test_a_controller_with_joints_in_another_order_moves_nothing(make: Any, joints: Any, wrong: str) -> None:
-    """A Float64MultiArray has no names: the hip would follow the command of the ankle."""
-    driven = Driven(make)
+def test_a_controller_that_would_misunderstand_its_commands_gets_none(make: Any, parameters: Any, wrong: str) -> None:
+    """A Float64MultiArray has neither names nor units. Until the controller has answered, nobody is sent anything."""
+    driven = Driven(make, asks=True)
     one = driven.one
-    robot = one.foreign_node("forward_position_controller")
-    robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
-    if joints is not None:
-        robot.declare_parameter("joints", list(joints))
-    both = [SingleThreadedExecutor(context=node.context) for node in (driven.node, robot)]
-    for executor, node in zip(both, (driven.node, robot), strict=True):
+    others = [one.foreign_node(name) for name in ("listener", "robot")]
+    for node in others:
+        node.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
+    for name, value in parameters.items():
+        others[1].declare_parameter(name, list(value) if isinstance(value, tuple) else value)
+    listener, robot, own = (SingleThreadedExecutor(context=node.context) for node in (*others, driven.node))
+    for executor, node in zip((listener, robot, own), (*others, driven.node), strict=True):
         executor.add_node(node)
 
-    def answered() -> bool:
-        driven.node._diagnose()
-        for executor in both:
-            executor.spin_once(0.02)
-        clients = driven.node._asked.values()
-        return bool(clients) and not any(client._pending_requests for client in clients)
+    def wait_for(*answering: SingleThreadedExecutor, answers: int) -> None:
+        until(lambda: driven.tick(0.0) or len(driven.node._controllers._found) == 2)
 
-    until(answered)
+        def answered() -> bool:
+            driven.tick(0.0)
+            for executor in (*answering, own):
+                executor.spin_once(0.005)
+            return sum(not one.left for one in driven.node._controllers._found.values()) == answers
+
+        until(answered)
+
+    wait_for(listener, answers=1)
+    assert not driven.sent
+    wait_for(listener, robot, answers=2)
+    driven.tick(0.1)  # sees the last answer
     driven.tick(0.1)
     assert bool(driven.sent) == (not wrong)
     assert one.got["plant_ready"][-1].data == (not wrong)
-    assert wrong in one.got["diagnostics"][-1].status[0].message or driven.node._blind.count(wrong)
-    for executor in both:
+    assert wrong in driven.node._blind
+    for executor in (listener, robot, own):
+        executor.shutdown()
+
+
+def test_a_controller_that_is_loaded_again_is_asked_again(make: Any) -> None:
+    """It may have another order now; meanwhile a listener remains, which is no controller."""
+    driven = Driven(make, asks=True)
+    made = [driven.one.foreign_node(name) for name in ("listener", "robot", "again")]
+    made[1].declare_parameter("joints", list(NAMES))
+    made[2].declare_parameter("joints", list(NAMES[::-1]))
+    executors = [SingleThreadedExecutor(context=node.context) for node in (*made, driven.node)]
+    for executor, node in zip(executors, (*made, driven.node), strict=True):
+        executor.add_node(node)
+
+    def happens(expected: Any) -> None:
+        def happened() -> bool:
+            driven.tick(0.1)
+            for executor in executors:
+                executor.spin_once(0.002)
+            return bool(expected())
+
+        until(happened)
+
+    listener, robot, again = made
+    listener.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
+    before = robot.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
+    happens(lambda: driven.sent)
+    robot.destroy_subscription(before)
+    happens(lambda: "does not subscribe to" in driven.node._blind)
+    sent = len(driven.sent)
+    again.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
+    happens(lambda: "/again has its joints in another order" in driven.node._blind)
+    assert len(driven.sent) == sent
+    for executor in executors:
         executor.shutdown()
 
 
@@ -537,7 +583,7 @@ def test_a_joint_that_jumps_stops_the_robot_until_reset(make: Any) -> None:
     for _ in range(5):
         one.tick(0.3)
     assert one.out.any()
-    assert one.one.got["plant_ready"][-1].data is False  # without a subscriber
+    assert one.one.got["plant_ready"][-1].data
 
 
 @pytest.mark.parametrize("interface", list(TOPIC))
@@ -548,7 +594,7 @@ def test_a_joint_that_moves_against_its_torque_stops_the_robot_until_reset(make:
     for _ in range(20):
         one.q[KNEE] += 0.02
         one.tick(0.0)
-    assert "l_knee_y moved away from its goal at full torque: this node cannot switch its torque off" in one.log
+    assert "l_knee_y moved away from its goal at full torque: unless another controller moves it, switch" in one.log
     stopped = one.out
     for _ in range(300):
         one.tick(0.3)

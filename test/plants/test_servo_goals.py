@@ -311,8 +311,10 @@ def physics_goals() -> Step:
 
 def drive_goals(make: Any) -> Step:
     from inside import state
+    from ros2_control import Known
 
     one = make("drive", ALL)
+    one.node._controllers = Known()
     out = one.got["forward_position_controller/commands"]
 
     def step(q: np.ndarray, u: np.ndarray | None, effort: Any) -> np.ndarray:

@@ -22,6 +22,15 @@ EXTRA = ("a_gripper", "z_camera")
 """Joints of the robot that are not in the model of the walk."""
 
 
+class Known:
+    """Controllers of a robot that understand whatever `drive` sends: in place of its `RobotControllers`."""
+
+    trouble = ""
+
+    def look(self) -> None:
+        """Find nothing."""
+
+
 class ControllerManager:
     """One robot, its broadcasters, and one forward_command_controller.
 
