@@ -3,8 +3,7 @@
 import logging
 
 from dqwalk_ros.paper.qp.daqp import DaqpSolver
-from dqwalk_ros.paper.qp.least_distance import NnlsSolver
-from dqwalk_ros.paper.qp.problem import Solver
+from dqwalk_ros.paper.qp.least_distance import NnlsSolver, Solver
 
 __all__ = ["make_solver"]
 
