@@ -78,10 +78,13 @@ def exercise(
         check_ros_environment()
     prepare(out, *(["log"] if ros else []), force=force)
     with Progress(quiet=quiet) as bar:
+        bar(0.0, "computing postures")
+        model = load_model(made.robot)
+        total = duration(model, made.gait.cycles)
         if ros:
             from dqwalk_ros.cli.runner import run_walk
 
-            outcome = run_walk(made, out / "bag", plant=plant, lockstep=plant != "poppy", progress=bar)
+            outcome = run_walk(made, out / "bag", plant=plant, lockstep=plant != "poppy", duration=total, progress=bar)
             reason = "" if outcome.finished else str(outcome)
         else:
             from dqwalk_ros.plants.table import make_plant
@@ -89,10 +92,7 @@ def exercise(
             from dqwalk_ros.simulation import simulate
             from dqwalk_ros.walks.table import make_controller
 
-            bar(0.0, "computing postures")
-            model = load_model(made.robot)
             controller, body = make_controller(made, model), make_plant(plant, made, model)
-            total = duration(model, made.gait.cycles)
             trace = simulate(
                 controller, body, before_step=lambda time: bar(time / total, f"{time:.0f} of {total:.0f} s")
             )

@@ -86,6 +86,7 @@ def run_walk(
     plant: str = "integrator",
     course: Sequence[str] = (),
     lockstep: bool = True,
+    duration: float = 0.0,
     progress: Callable[[float, str], None] | None = None,
     domain: int | None = None,
 ) -> RunOutcome:
@@ -101,6 +102,8 @@ def run_walk(
         Legs for the node pilot, see `walks.course.Course.parse`; they require ``gait.steps: 0``.
     lockstep : bool
         Whether each state waits for its command; otherwise the walk runs in real time.
+    duration : float
+        Of a walk whose phases do not show how much of it is done [s]; 0: they do, or the course does.
     progress : callable, optional
         Called several times a second with the fraction done and a line of text.
     domain : int, optional
@@ -127,7 +130,7 @@ def run_walk(
         if domain is None and "ROS_DOMAIN_ID" not in os.environ:
             domain = stack.enter_context(private_domain())
         processes = stack.enter_context(Processes(folder, domain))
-        walk = _Progress(config, processes, node, Course.parse(course).duration, progress)
+        walk = _Progress(config, processes, node, Course.parse(course).duration or duration, progress)
         interrupted = stack.enter_context(deferred_interrupts())
         processes.start("recorder", ["--bag", str(bag), *ros])
         processes.start("phase_monitor", ros)

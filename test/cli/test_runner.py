@@ -18,7 +18,7 @@ import pytest
 from live import SHORT
 
 from dqwalk_ros import cli
-from dqwalk_ros.cli.runner import Processes, _recording_error, environment, private_domain, run_walk
+from dqwalk_ros.cli.runner import Processes, _Progress, _recording_error, environment, private_domain, run_walk
 from dqwalk_ros.config import load
 from dqwalk_ros.report import bag
 from dqwalk_ros.support.compiled import COMPILING
@@ -55,6 +55,27 @@ def test_a_walk_that_does_not_begin_can_be_tried_again(tmp_path: Path, capsys: p
     (tmp_path / "bag/precious").write_text("data")
     assert "exists already" in str(run_walk(load("poppy"), tmp_path / "bag"))
     assert (tmp_path / "bag/precious").exists()
+
+
+def test_the_progress_of_an_exercise_is_its_time(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It has one phase of five minutes, of which the bar said 0 %."""
+    asked: dict[str, Any] = {}
+
+    def run(*_: Any, **keywords: Any) -> SimpleNamespace:
+        asked.update(keywords)
+        return SimpleNamespace(finished=True)
+
+    monkeypatch.setattr("dqwalk_ros.cli.runner.run_walk", run)
+    few = "robot.lock=['*_z', '*_x', '*_arm_*', '*_shoulder_*', '*_elbow_*', 'abs_*', 'bust_*', 'head_*']"
+    assert cli.main(["exercise", "--plant", "poppy", "--set", few, "--out", str(tmp_path)]) == 0
+    assert asked["duration"] == pytest.approx(65.0)
+    shown: list[tuple[float, str]] = []
+    now = {"time": 13.0, "phase_index": 0, "ticks": 650, "phase": "stance/left", "error": 0.1}
+    processes: Any = SimpleNamespace(reports={"controller": now})
+    walk = _Progress(load("poppy"), processes, "poppy_driver", asked["duration"], lambda *text: shown.append(text))
+    walk.update()
+    walk.show()
+    assert shown[0][0] == pytest.approx(0.2)
 
 
 def test_an_existing_bag_is_not_changed(make: Any, tmp_path: Path) -> None:
