@@ -297,7 +297,8 @@ class AnsweringNode(WalkNode):
         self._diagnosed = self.steady()
         of_walk, text, values = self._condition()
         if not level:
-            trouble = self._problem or (f"two plants: {self._duplicates}" if self._duplicates else "") or self._slow
+            plants = f"two plants: {self._duplicates}" if self._duplicates else ""
+            trouble = self._problem or plants or self._slow or self.time_trouble()
             level, message = "ERROR" if trouble or self._failures.count else of_walk, trouble or text
         counts = {"ticks": self._ticks, "states rejected": self._rejected, "states overtaken": self._gate.overtaken}
         values = {**counts, "clock steps": self._steps, **values}

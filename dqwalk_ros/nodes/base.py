@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import signal
 import sys
@@ -39,6 +40,9 @@ _TOPICS = TOPICS | BODY_TOPICS | {PHASE_LOG.name: PHASE_LOG}
 _DISCOVERED, _HEARD = 0.4, 1.5
 """Time to discover other nodes, and to receive a message of one that is running [s]: in lockstep a plant that waits
 for a command publishes twice a second. A node that is shutting down has the same time to end."""
+
+_STANDS_STILL = 0.5
+"""Time without a later time of /clock after which it stands still [s]: slow simulations publish some a second."""
 
 _ACKNOWLEDGED = {True: 12.0, False: 0.25}
 """`WalkNode.patience`: in lockstep, where the bag must be complete, and in real time, where the plant's watchdog stops
@@ -90,6 +94,7 @@ class WalkNode(Node):
             self.get_logger().warning("no parameters given, using the defaults: is --ros-args --params-file missing?")
         self.add_on_set_parameters_callback(self._on_parameters)
         self._made, self._recorded = time.monotonic(), False
+        self._sim_time = 0, -math.inf  # the last time of /clock [ns], and since when it has been it, by `steady` [s]
         self.done = Future()
         self.is_child: bool = options.child
         self._diagnostics = self.advertise("diagnostics") if self.has_diagnostics else None
@@ -206,10 +211,15 @@ class WalkNode(Node):
         return bool(self.get_parameter("use_sim_time").value)
 
     def time_trouble(self) -> str:
-        """Return an error message about the node's clock; empty if there is no error."""
-        if self.uses_sim_time and not self.get_clock().now().nanoseconds:
+        """Return an error message about the node's clock; empty if there is no error. It is asked for repeatedly."""
+        if not self.uses_sim_time:
+            return ""
+        time, now = self.get_clock().now().nanoseconds, self.steady()
+        if not time:
             return "use_sim_time is set, but no node publishes /clock"
-        return ""
+        if time != self._sim_time[0]:
+            self._sim_time = time, now
+        return "use_sim_time is set, but /clock stands still" if now - self._sim_time[1] > _STANDS_STILL else ""
 
     def is_recorded(self) -> bool:
         """Return whether the recorder has subscribed to every topic of this node that it records."""

@@ -223,9 +223,10 @@ class RobotDrive(WalkNode):
     def _look(self) -> None:
         """Find out whether commands can have an effect."""
         gate, fault, before = self._law.gate, self._law.fault, self._blind
-        self._blind = ""
         if self._stamp < 0:
             self._blind = "no joint_states yet"
+        elif clock := self.time_trouble():
+            self._blind = clock
         elif fault:
             torque = "unless another controller moves it, switch its torque off, which this node cannot"
             advice = "check its sensor" if gate.fault else torque

@@ -173,7 +173,7 @@ class PoppyDriver(WalkNode):
         if not reason and not plant.ready:
             reason = "moving to the first pose"
             self.get_logger().info(f"{reason}: {plant.remaining:.2f} rad left", **throttled())
-        self._commands.forbid(reason)
+        self._commands.forbid(reason or self.time_trouble())
         self._commands.warn(plant.warning)
 
     def _on_compliant(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from inside import state, until
+from rclpy.clock import ClockType
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.time import Time
 from ros2_control import EXTRA, ControllerManager, Known
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -146,9 +148,11 @@ class Driven:
         Measured angles [rad].
     """
 
-    def __init__(self, make: Any, *, known: bool = True, asks: bool = False, **settings: Any) -> None:
+    def __init__(
+        self, make: Any, *, known: bool = True, asks: bool = False, ros: tuple[str, ...] = (), **settings: Any
+    ) -> None:
         self.config = POPPY.updated({name.replace("__", "."): value for name, value in settings.items()})
-        self.one = make("drive", self.config)
+        self.one = make("drive", self.config, ros=ros)
         self.node, self.log, self.q = self.one.node, self.one.log, POSTURE.copy()
         if not asks:
             self.node._controllers = Known()
@@ -449,6 +453,27 @@ def test_a_clock_that_is_not_used_is_named(make: Any) -> None:
     until(lambda: one.node.count_publishers("/clock"))
     one.node._diagnose()
     assert "/clock is published, but use_sim_time is false" in one.log
+
+
+def test_while_the_clock_of_a_simulator_stands_still_the_plant_is_not_ready(make: Any) -> None:
+    """States that go on are not answered meanwhile: the joints would not follow, and the walk would fail."""
+    driven = Driven(make, known=False, ros=("-p", "use_sim_time:=true"))
+    one, clock = driven.one, driven.node.get_clock()
+
+    def passes(seconds: float, *, simulated: bool = True) -> str:
+        for _ in range(round(seconds / DT)):
+            if simulated:
+                clock.set_ros_time_override(Time(seconds=1.0 + driven.now, clock_type=ClockType.ROS_TIME))
+            driven.tick(0.1)
+        driven.node._diagnose()
+        return str(one.got["diagnostics"][-1].status[0].message)
+
+    assert passes(0.1, simulated=False) == "use_sim_time is set, but no node publishes /clock"
+    assert passes(0.5) == "moving"
+    assert passes(0.7, simulated=False) == "holding: use_sim_time is set, but /clock stands still"
+    assert not one.got["plant_ready"][-1].data
+    assert passes(0.5) == "moving"
+    assert one.got["plant_ready"][-1].data
 
 
 def test_a_clock_that_steps_back_stops_no_robot(make: Any) -> None:

@@ -397,6 +397,13 @@ def test_a_second_activation_moves_no_robot(make: Any, monkeypatch: pytest.Monke
     until(one, lambda: not one.got["plant_warning"][-1].data)
 
 
+def test_a_driver_that_waits_for_a_clock_says_so(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With use_sim_time its states would be stamped 0, and a walk would wait without a reason."""
+    one, _ = driver_node(make, monkeypatch, CONFIG.updated({"poppy.activate": True}), ros=("-p", "use_sim_time:=true"))
+    until(one, lambda: one.node._plant.ready)
+    assert one.node._commands.gate.refused == "use_sim_time is set, but no node publishes /clock"
+
+
 def test_the_torque_is_switched_off_after_a_fall_and_on_when_no_motor_is_hot(
     make: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -90,7 +90,11 @@ class Rig:
 
 
 def driver_node(
-    make: Any, monkeypatch: pytest.MonkeyPatch, config: Config | str, memory: Memory | None = None
+    make: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    config: Config | str,
+    memory: Memory | None = None,
+    ros: tuple[str, ...] = (),
 ) -> tuple[Any, Memory]:
     """Return the driver as a node in the process of the test, and its servos, new ones or those of `memory`.
 
@@ -103,6 +107,6 @@ def driver_node(
         return made[-1].buses
 
     monkeypatch.setattr(plant, "open_buses", open_buses)
-    one = make("poppy_driver", config)
+    one = make("poppy_driver", config, ros=ros)
     one.node._plant._each = map
     return one, made[-1]
