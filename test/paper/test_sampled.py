@@ -1,4 +1,8 @@
-"""The vector-field inequality in sampled time: what one period does to each distance, at random states."""
+"""The vector-field inequality in sampled time: what one period does to each distance, at random states.
+
+The curvature that a row is granted is that of a point over a fixed plane (`constraints.sampled`). A wall, (U9) or
+(U10), contains a point of the sliding foot, and curves more: commands that use all that the rows allow show it.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +22,29 @@ from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import QPError
 from dqwalk_ros.walks.table import make_walk
 
+WALLS = ("tip_plane", "back_plane")
 
-@pytest.mark.parametrize("count", [60, pytest.param(25_000, marks=pytest.mark.long)])
+
+@pytest.mark.parametrize(
+    ("of_walk", "count"),
+    [
+        (True, 60),
+        (False, 60),
+        pytest.param(True, 25_000, marks=pytest.mark.long),
+        pytest.param(False, 500, marks=pytest.mark.long),
+    ],
+)
 @pytest.mark.parametrize(
     ("name", "params"),
     [("paper", []), ("poppy", ["arms"]), ("poppy_dynamic", ["arms"]), ("poppy_dynamic_50hz", ["arms"])],
 )
 def test_a_period_brings_no_distance_nearer_to_its_bound_than_eta_and_the_curvature_allow(
-    name: str, params: list[str], count: int
+    name: str, params: list[str], count: int, *, of_walk: bool
 ) -> None:
-    """Whatever the state is in which the bounds are kept (`Assembly.after`), with R the height of the CoM."""
+    """Whatever the state is in which the bounds are kept (`Assembly.after`), with R the height of the CoM.
+
+    The command is that of the walk, or any other one that the rows allow; then a wall gets three times the curvature.
+    """
     config = with_files(load(name), [Path(one) for one in params])
     model, rng, solver, dt = load_model(config.robot), np.random.default_rng(1), make_solver("daqp"), config.dt
     fastest = np.minimum(model.velocity_max, config.joints.velocity or np.inf)
@@ -45,10 +62,14 @@ def test_a_period_brings_no_distance_nearer_to_its_bound_than_eta_and_the_curvat
         if (now.margins[rows:] < 0.0).any():
             continue
         of = now.problem
+        H, c = (of.H, of.c) if of_walk else (np.eye(model.n), rng.normal(0.0, 10.0, model.n))
         try:  # the inequalities alone: random soles are not on the ground
-            u = solver.solve(Problem.of(of.H, of.c, of.G, of.h, of.lower, of.upper, names=of.names[rows:])).u
+            u = solver.solve(Problem.of(H, c, of.G, of.h, of.lower, of.upper, names=of.names[rows:])).u
         except QPError:
             continue
         kept += 1
         after = phase.evaluate(q + dt * u).margins - phase.assembly.after(now.margins, q, q + dt * u, dt, dt)
+        if not of_walk:
+            wall = np.isin(phase.assembly.names, WALLS)
+            after += wall * phase.assembly.radius * np.abs(dt * u).sum() ** 2
         assert (after[rows:] >= -1e-12).all(), phase.assembly.names[rows + after[rows:].argmin()]
