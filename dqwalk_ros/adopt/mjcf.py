@@ -143,7 +143,8 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
     """Return a file as MuJoCo reads it, without settings of other versions of MuJoCo; and what was left out."""
     import mujoco
 
-    root, repairs = (None if path.suffix.lower() == ".xml" else _with_includes(path)), list[str]()
+    repairs = list[str]()
+    root = None if path.suffix.lower() == ".xml" else _with_includes(path, repairs)
     while True:
         try:
             if root is None:
@@ -153,8 +154,10 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
             text = " ".join(str(error).split())
             unknown, unread = _UNKNOWN.search(text), _NUMBERS.search(text)
             found = unknown or unread
-            if root is None and found:
-                root = _with_includes(path)
+            if root is None and (found or "Element 'include'" in text):
+                root = _with_includes(path, repairs)
+                if not found:
+                    continue
             named = [] if root is None or not found else [e for e in root.iter(found[2]) if found[1] in e.attrib]
             if unread and (named := [e for e in named if "," in e.attrib[unread[1]]]):
                 for element in named:
@@ -168,8 +171,11 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
             repairs.append(f"<{unknown[2]}> has the attribute '{unknown[1]}' of another version of MuJoCo: left out")
 
 
-def _with_includes(file: pathlib.Path, *within: pathlib.Path) -> ElementTree.Element:
-    """Return the root of an MJCF file with the contents of the files that it includes; `within` includes it."""
+def _with_includes(file: pathlib.Path, repairs: list[str], *within: pathlib.Path) -> ElementTree.Element:
+    """Return the root of an MJCF file with the contents of the files that it includes; `within` includes it.
+
+    Files that are missing, such as sky and floor that a package provides, are left out and listed in `repairs`.
+    """
     main, *_ = *within, file
     try:
         root = ElementTree.parse(file).getroot()
@@ -181,7 +187,11 @@ def _with_includes(file: pathlib.Path, *within: pathlib.Path) -> ElementTree.Ele
         for at, child in reversed([*enumerate(parent)]):
             if child.tag == "include":
                 part = main.parent / child.get("file", "")
-                parent[at : at + 1] = [*_with_includes(part, *within, file)]
+                if part.is_file():
+                    parent[at : at + 1] = [*_with_includes(part, repairs, *within, file)]
+                else:
+                    parent.remove(child)
+                    repairs.append(f"the file '{child.get('file')}' that it includes is not found: left out")
     return root
 
 

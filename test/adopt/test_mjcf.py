@@ -137,7 +137,6 @@ def test_what_cannot_walk_is_refused_in_one_sentence(name: str, tmp_path: Path) 
     [
         ("robot.mjcf", r"robot\.mjcf' includes itself"),
         ("bad.xml", r"bad\.xml': not well-formed"),
-        ("none.xml", r"none\.xml': .*No such file"),
     ],
 )
 def test_what_is_wrong_with_an_included_file_is_said_with_its_name(
@@ -147,6 +146,16 @@ def test_what_is_wrong_with_an_included_file_is_said_with_its_name(
     path = edited(tmp_path, ("<worldbody>", f'<include file="{included}"/><worldbody>')).rename(tmp_path / "robot.mjcf")
     with pytest.raises(ModelError, match=expected):
         load_mjcf(path)
+
+
+@pytest.mark.parametrize("ending", [".xml", ".mjcf"])
+def test_an_included_file_that_is_missing_is_left_out_and_listed(ending: str, tmp_path: Path) -> None:
+    """Such as the sky and floor of a package, which a robot does not need."""
+    sky = '<include file="./common/skybox.xml"/><worldbody><geom type="plane" size="1 1 1" material="grid"/>'
+    path = edited(tmp_path, ("<worldbody>", sky)).rename(tmp_path / f"robot{ending}")
+    urdf, _ = load_mjcf(path)
+    assert find_anatomy(urdf, Shapes(urdf, path)).kinds == "YRPPPR"
+    assert "the file './common/skybox.xml' that it includes is not found: left out" in urdf.repairs
 
 
 def test_a_missing_mesh_of_a_trunk_is_said_and_that_of_a_foot_is_an_error(tmp_path: Path) -> None:
