@@ -26,6 +26,8 @@ _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 """The name of a package in its package.xml."""
 _ABOVE = 6
 """Number of folders above a file that are searched for what it refers to."""
+_UNKNOWN = "/package-that-is-not-found/"
+"""Begin of the folder of a package that is not found: a file of it may be near under another name of the package."""
 
 
 def decoded(content: bytes) -> bytes | str:
@@ -72,10 +74,11 @@ def expanded(
         folder = _package(package, path, places)
         if folder is None:
             missing.append(package)
-            raise LookupError(package)
-        return str(folder)
+        return str(folder or f"{_UNKNOWN}{package}")
 
     def parse(content: Any, filename: str | None = None) -> Any:
+        if filename and filename.startswith(_UNKNOWN):  # its package has been renamed
+            filename = str(find_package_file(f"package://{filename[len(_UNKNOWN) :]}", path, places) or filename)
         if content is None and filename and _is_file(pathlib.Path(filename)):
             content = decoded(pathlib.Path(filename).read_bytes())
             content = content if isinstance(content, str) else io.BytesIO(content)
