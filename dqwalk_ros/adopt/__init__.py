@@ -72,6 +72,9 @@ _OVER = 0.1
 """Largest distance of the CoM from the middle of a sole that it can reach, as a part of that at which phases end."""
 _LONG = 0.66
 """Least length of a step, as a fraction of the usual one, for which the soles are not placed closer."""
+_DENSE = 25.0, 1000.0
+"""Least and largest mass divided by the cube of the height of the CoM [kg/m^3] that are not doubted; 135 robots have 38
+to 850."""
 _HEAVY_FOOT = 0.1
 """Part of the robot's mass above which that of a foot is doubtful."""
 _HIGH = 0.4, 1.6
@@ -321,7 +324,8 @@ def _numbers(model: RobotModel, anatomy: Anatomy) -> Numbers:
 
     Where joints are at their limits with the soles as far apart as in the zero posture, the soles are closer: so close
     that the CoM reaches the middle of one sole, and the legs make steps of two thirds of the usual length, or else the
-    longest; where the CoM reaches it at no distance, it is that at which it comes nearest.
+    longest; where the CoM reaches it at no distance, it is that at which it comes nearest. They are wider where the
+    robot walks at none of these distances, as with hips whose range excludes the zero posture.
 
     Raises
     ------
@@ -329,10 +333,12 @@ def _numbers(model: RobotModel, anatomy: Anatomy) -> Numbers:
         If the robot cannot stand on both feet.
     """
     problem, possible = None, list[tuple[bool, bool, float, Numbers]]()
-    wide, *closer = distances(anatomy)
-    for apart in (wide, *closer):
-        why = "closer than in the zero posture, where joints are at their limits"
-        more = (Entry("distance of the soles", f"{1e3 * apart:.0f} mm", why, "likely"),) if apart < wide else ()
+    usual, *others = distances(anatomy)
+    for apart in (usual, *others):
+        if apart > usual and any(stands for stands, *_ in possible):
+            break
+        why = f"{'wider' if apart > usual else 'closer'} than in the zero posture, where joints are at their limits"
+        more = (Entry("distance of the soles", f"{1e3 * apart:.0f} mm", why, "likely"),) if apart != usual else ()
         tried = replace(anatomy, apart=apart, evidence=(*anatomy.evidence, *more))
         try:
             numbers, deviation = _standing(model, tried)
@@ -528,13 +534,16 @@ def _mass_evidence(n: Numbers, sure: str = "sure") -> list[Entry]:
     heavy = Entry("mass of a foot", f"{foot:.3g} kg, {100 * part:.0f} % of the robot", "2 to 6 % are usual", "guess")
     stuck = ", ".join([] if n.standing.margin else at_limits(model, n.standing))
     limits = Entry("at a limit in the posture", stuck, "there is no posture without", "guess")
+    density = model.mass / n.height**3
+    usual = _DENSE[0] < density < _DENSE[1]
+    doubt = "sum of the links; 50 to 300 kg/m^3 times the cube of the CoM's height are usual: weigh the robot"
     light = "40 to 60 % are usual: the dynamic walk takes legs for light"
     legs = Entry("mass of the legs", f"{100 * n.legs:.0f} % of the robot", light, "guess")
     return [
         *([heavy] if part > _HEAVY_FOOT else []),
         *([legs] if n.legs > HEAVY_LEGS else []),
         *([limits] if stuck else []),
-        Entry("mass", f"{n.model.mass:.4g} kg", "sum of the links", sure),
+        Entry("mass", f"{model.mass:.4g} kg", "sum of the links" if usual else doubt, sure if usual else "guess"),
         Entry("CoM in the posture", f"{ahead:.1f} mm forward, {n.height:.3f} m up", "posture", sure),
         Entry("m g h", f"{n.mgh:.4g} N m/rad", "mass and height of the CoM", sure),
         Entry("inertia of a leg", f"{n.inertia:.3g} kg m^2", "its bodies as point masses, about the hip", sure),

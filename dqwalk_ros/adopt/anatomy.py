@@ -41,8 +41,8 @@ _SAME = 1e-3
 """Largest distance of joints at one place, as a fraction of the height of a leg."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
-_NARROWER = 1.0, 0.87, 0.75, 0.62, 0.5, 0.4
-"""Distances of the soles that are tried, as fractions of the widest one."""
+_DISTANCES = 1.0, 0.87, 0.75, 0.62, 0.5, 0.4, 1.15, 1.3, 1.5, 1.75
+"""Distances of the soles that are tried in this order, as fractions of that of the zero posture."""
 
 
 @dataclass(frozen=True)
@@ -438,9 +438,9 @@ def _least_distance(width: float, leg: float) -> float:
 
 
 def distances(anatomy: Anatomy) -> list[float]:
-    """Return lateral distances of the soles' centres [m] to try, the widest first; without ankle roll there is one."""
+    """Return lateral distances of the soles' centres [m] to try: usual, closer, wider; one if no ankle rolls."""
     least = _least_distance(anatomy.soles[Foot.LEFT].width, anatomy.leg)
-    parts = _NARROWER if anatomy.sideways else (1.0,)
+    parts = _DISTANCES if anatomy.sideways else (1.0,)
     return [float(f"{part * anatomy.apart:.4g}") for part in parts if part * anatomy.apart >= least or part == 1.0]
 
 

@@ -635,6 +635,22 @@ def test_soles_are_as_close_as_narrow_limits_of_the_ankles_require(tmp_path: Pat
     assert any(entry.what == "distance of the soles" and "limits" in entry.source for entry in found.evidence)
 
 
+def rolls(tmp_path: Path, inwards: float, outwards: float, ankles: float) -> Urdf:
+    """Return the robot with hips that roll so far inwards and outwards [rad], and ankles that roll so far."""
+    urdf = Urdf.load(narrowed(tmp_path, ankle_roll=ankles, hip_roll=outwards))
+    urdf.joints["l_hip_roll"].limit.lower, urdf.joints["r_hip_roll"].limit.upper = -inwards, inwards
+    return urdf
+
+
+def test_soles_are_as_wide_as_hips_that_roll_outwards_only_require(tmp_path: Path) -> None:
+    urdf = rolls(tmp_path, -0.1, 0.3, 0.5)
+    usual = anatomy_of(urdf).apart
+    found = adopt(written(tmp_path, urdf), tmp_path / "out")
+    assert not found.findings
+    assert found.anatomy.apart == pytest.approx(1.15 * usual, rel=1e-3)
+    assert any("wider than in the zero posture" in entry.source for entry in found.anatomy.evidence)
+
+
 @pytest.mark.parametrize(
     ("inwards", "outwards", "ankles", "message"),
     [
@@ -643,12 +659,11 @@ def test_soles_are_as_close_as_narrow_limits_of_the_ankles_require(tmp_path: Pat
     ],
 )
 def test_what_keeps_a_robot_from_a_standing_walk_only_is_said(
-    inwards: float, outwards: float, ankles: float, message: str, tmp_path: Path
+    inwards: float, outwards: float, ankles: float, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The CoM would be 10 mm from the middle, and the first phase of the walk would not end."""
-    urdf = Urdf.load(narrowed(tmp_path, ankle_roll=ankles, hip_roll=outwards))
-    urdf.joints["l_hip_roll"].limit.lower, urdf.joints["r_hip_roll"].limit.upper = -inwards, inwards
-    found = adopt(written(tmp_path, urdf), tmp_path / "out")
+    monkeypatch.setattr("dqwalk_ros.adopt.distances", lambda anatomy: distances(anatomy)[:3])  # wider it would walk
+    found = adopt(written(tmp_path, rolls(tmp_path, inwards, outwards, ankles)), tmp_path / "out")
     assert re.search(message, found.findings[0].message)
     assert load(tmp_path / "out" / "dynamic.yaml").gait.step_length > 0.03
 
@@ -671,7 +686,7 @@ def test_the_com_reaches_the_middle_of_a_sole_where_a_distance_of_the_soles_allo
 
 def test_legs_that_touch_or_cannot_move_sideways_stand_no_closer() -> None:
     found = replace(anatomy_of(Urdf.load(SMALL)), apart=0.16)
-    assert distances(found) == [0.16, 0.1392, 0.12, 0.0992]  # 0.08 would be less than the width of a sole
+    assert distances(found)[:5] == [0.16, 0.1392, 0.12, 0.0992, 0.184]  # 0.08 would be less than the width of a sole
     assert distances(replace(found, sideways=False)) == [0.16]
 
 
@@ -735,6 +750,18 @@ def test_a_foot_that_weighs_a_fifth_of_the_robot_is_doubted(part: float) -> None
     numbers = Numbers(model, anatomy_of(urdf), standing, 0.0, "", {}, 0.0, ())
     doubts = [entry.value for entry in _mass_evidence(numbers) if entry.confidence == "guess"]
     assert doubts == ([f"{foot.mass:.3g} kg, 20 % of the robot"] if part > 0.1 else [])
+
+
+@pytest.mark.parametrize("scale", [1.0, 10.0])
+def test_a_mass_that_no_robot_of_this_size_has_is_doubted(scale: float) -> None:
+    urdf = Urdf.load(SMALL)
+    for link in urdf.links.values():
+        link.inertial.mass *= scale
+    model = small_model(urdf)
+    standing = Standing(np.zeros(model.n), 0.25 * Z, 0.25, error=0.0, knee=0.0, off=0.0, margin=0.05)
+    rows = _mass_evidence(Numbers(model, anatomy_of(urdf), standing, 0.0, "", {}, 0.0, ()))
+    mass = next(row for row in rows if row.what == "mass")
+    assert (mass.confidence, "weigh the robot" in mass.source) == (("sure", False) if scale == 1.0 else ("guess", True))
 
 
 @pytest.mark.parametrize("trunk", [1.4, 0.1])
@@ -983,6 +1010,20 @@ def test_xacro_finds_packages_and_takes_arguments(tmp_path: Path) -> None:
         Urdf.load(path)
     assert list(Urdf.load(path, [tmp_path / "src"], {"n": "b"}).links) == ["b"]
     assert list(Urdf.load(path, [tmp_path / "src" / "parts"]).links) == ["a"]
+
+
+def test_xacro_finds_the_files_of_a_package_that_has_been_renamed(tmp_path: Path) -> None:
+    urdf = tmp_path / "robot_description" / "urdf"
+    urdf.mkdir(parents=True)
+    (urdf.parent / "package.xml").write_text("<package><name>robot_description</name></package>")
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    (urdf / "leg.xacro").write_text(f'{head}<link name="leg"/></robot>')
+    path = urdf / "my.urdf.xacro"
+    path.write_text(f'{head}<xacro:include filename="$(find old_description)/urdf/leg.xacro"/></robot>')
+    assert list(Urdf.load(path).links) == ["leg"]
+    (urdf / "leg.xacro").unlink()
+    with pytest.raises(ModelError, match=r"needs the ROS package 'old_description', which is not installed"):
+        Urdf.load(path)
 
 
 def test_a_folder_an_archive_and_an_address_lead_to_the_description_or_say_what_to_do(tmp_path: Path) -> None:
