@@ -60,7 +60,7 @@ def find_file(what: str, source: str | os.PathLike[str], folder: str, names: Seq
     what : str
         What it is, in messages.
     source : path
-        A path, or one of `names`.
+        A path, or one of `names`; a folder of such a name, as that of earlier results, is not meant.
     folder : str
     names : sequence of str
         Names of files in `folder`; those without suffix are YAML files.
@@ -76,7 +76,7 @@ def find_file(what: str, source: str | os.PathLike[str], folder: str, names: Seq
             return path
     except OSError as error:  # a folder that may not be searched, a name that is too long
         raise ConfigError(f"cannot read the {what} '{path}': {error.strerror}") from error
-    if str(source) in names and not os.path.lexists(path):
+    if str(source) in names and (path.is_dir() or not os.path.lexists(path)):
         return find_share(folder, path.name if path.suffix else f"{path}.yaml")
     if not str(source).strip():
         raise ConfigError(f"the name of the {what} is empty")

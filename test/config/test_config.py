@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from dqwalk_ros.config import SHIPPED, Config, find_share, from_yaml, load, to_yaml, with_files
+from dqwalk_ros.config import SHIPPED, Config, find_file, find_share, from_yaml, load, to_yaml, with_files
 from dqwalk_ros.config.files import OVERLAYS
 from dqwalk_ros.robot.model import find_urdf
 from dqwalk_ros.support.errors import ConfigError, ModelError
@@ -242,6 +242,14 @@ def test_every_shipped_configuration_is_named() -> None:
     files = {path.stem: path for path in (Path(__file__).parents[2] / "config").glob("*.yaml")}
     walks = {name for name, path in files.items() if "robot:" in path.read_text(encoding="utf-8")}
     assert set(SHIPPED) == walks
+
+
+def test_a_folder_of_results_hides_no_file_of_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else `dqwalk evidence`, which writes to a folder of its name, could not be continued."""
+    monkeypatch.chdir(tmp_path)
+    for name, folder in (("evidence", "config"), ("paper", "config"), ("rough", "config/overlays")):
+        Path(name).mkdir()
+        assert find_file("file", name, folder, (name,)) == ROOT / folder / f"{name}.yaml"
 
 
 @pytest.mark.parametrize("name", SHIPPED)
