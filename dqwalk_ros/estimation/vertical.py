@@ -58,9 +58,15 @@ def low_passed(before: Array | None, gyro: Array | None, time_constant: float, d
 
 
 @jit
+def turning(up: Array, omega: Array) -> Array:
+    """Return up' = up x omega (3,) [1/s] of a vertical `up` (3,) in axes that turn by `omega` (3,) [rad/s]."""
+    return np.cross(up, omega)
+
+
+@jit
 def _filtered(before: Array, omega: Array, now: Array, measured: Array, dt: float) -> Array:
     """Return the vertical after dt [s] at angular velocities from `omega` to `now` (3,), corrected by the measured."""
     omega = 0.5 * (omega + now)
-    turned = before + dt * np.cross(before, omega)  # a vector that is fixed in the world: up' = up x omega
-    up = turned + dt / (_T + dt) * (measured - turned)
+    turned = before + dt * turning(before, omega)
+    up: Array = turned + dt / (_T + dt) * (measured - turned)
     return up / math.sqrt(up @ up)

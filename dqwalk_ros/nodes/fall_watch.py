@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
+from dqwalk_ros.estimation.vertical import turning
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import State
@@ -132,9 +133,8 @@ class Contradictions:
             )
         if before.up is None or before.gyro is None or state.up is None:
             return ""
-        (a, b, c), (x, y, z) = before.up, before.gyro
-        turning = passed * np.array([b * z - c * y, c * x - a * z, a * y - b * x])
-        self._turned = math.exp(-passed / self.memory[2]) * (self._turned + state.up - before.up - turning)
+        turned = passed * turning(before.up, before.gyro)
+        self._turned = math.exp(-passed / self.memory[2]) * (self._turned + state.up - before.up - turned)
         off = math.sqrt(float(self._turned @ self._turned))
         self.largest = max(self.largest, off)
         if off > self._limit:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dqwalk_ros.estimation.vertical import turning
 from dqwalk_ros.nodes.safety import Clock, ClockSteps, FaultCounter, Watchdog
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
@@ -165,8 +166,7 @@ class InertialGate:
 
 def _turned(up: Array, omega: Array, time: float) -> Array:
     """Return the vertical `up` (3,) in a frame that turns by the angular velocity `omega` (3,) for a `time` [s]."""
-    (a, b, c), (x, y, z) = up, omega
-    turned = up + time * np.array([b * z - c * y, c * x - a * z, a * y - b * x])  # up' = up x omega
+    turned = up + time * turning(up, omega)
     out: Array = turned / math.sqrt(float(turned @ turned))
     return out
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +14,10 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.plants.base import tilt
 from dqwalk_ros.report.hull import hull_margin
+from dqwalk_ros.report.spans import Span
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.trace import PhysicsRecord
-
-if TYPE_CHECKING:
-    from dqwalk_ros.report.metrics import Series
+from dqwalk_ros.trace import PhysicsRecord, Trace
 
 FALLEN = 0.6
 """Height of the pelvis over the lower sole, relative to its first one, below which the robot has fallen."""
@@ -128,13 +125,13 @@ class Ground:
         Sum of the positive part of each joint's power [W]: the power of servos that do not recover braking energy.
     """
 
-    def __init__(self, series: Series, physics: PhysicsRecord) -> None:
-        trace, model, count = series.trace, series.trace.model, len(series.trace)
-        self.physics, self._series = physics, series
+    def __init__(self, trace: Trace, spans: Sequence[Span], physics: PhysicsRecord) -> None:
+        self.physics, self._trace, self._spans = physics, trace, spans
+        model, count = trace.model, len(trace)
         self.soles = {foot: np.empty((count, 8)) for foot in Foot}
         self.com, self.cop_margin = np.empty((count, 3)), np.full(count, np.nan)
         true_q = np.where(np.isfinite(physics.q), physics.q, trace.q)
-        for span in series.spans:
+        for span in spans:
             ticks, base = span.ticks, span.phase.base
             kins = [Kinematics(model, q, base) for q in true_q[ticks]]
             pelvis, end = (
@@ -170,7 +167,7 @@ class Ground:
     @property
     def commanded(self) -> float:
         """Length of that path if each step lands on its target [m]."""
-        return commanded_way(span.phase for span in self._series.spans if not span.double and span.ending is not None)
+        return commanded_way(span.phase for span in self._spans if not span.double and span.ending is not None)
 
     @property
     def inside(self) -> float | None:
@@ -192,7 +189,7 @@ class Ground:
     def swing_load(self) -> float | None:
         """Fraction of the weight on the swing foot, the median of all ticks; None without single support."""
         parts = []
-        for span in self._series.spans:
+        for span in self._spans:
             if not span.double:
                 feet = (span.phase.support.other, span.phase.support)
                 swing, support = (self.physics.wrenches[foot][span.ticks, 2] for foot in feet)
@@ -203,7 +200,7 @@ class Ground:
     @property
     def load_error(self) -> float | None:
         """Error of the estimated fraction of the weight on the left foot, the median; None without an estimate."""
-        if (loads := self._series.trace.loads) is None:
+        if (loads := self._trace.loads) is None:
             return None
         true = np.stack([self.physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
         estimated, real = (f[:, 0] / np.maximum(f.sum(axis=1), 1e-3) for f in (loads, true))
@@ -213,16 +210,15 @@ class Ground:
     @property
     def drift(self) -> float:
         """Horizontal error of odometry at the end, relative to the first base sole [m]."""
-        first, last = self._series.spans[0], self._series.spans[-1]
+        first, last = self._spans[0], self._spans[-1]
         true = DQ(self.soles[first.phase.base][0]).conj() * DQ(self.soles[last.phase.base][-1])
         estimated = DQ(first.record.x_odom_base).conj() * DQ(last.record.x_odom_base)
         return float(np.linalg.norm((true.translation() - estimated.translation())[:2]))
 
     def _stands(self) -> Array:
-        series = self._series
-        ticks = [span.start for span in series.spans if span.double] + [len(series.time) - 1]
+        ticks = [span.start for span in self._spans if span.double] + [len(self._trace) - 1]
         soles, yaws = {foot: x[ticks] for foot, x in self.soles.items()}, []
         for x in soles.values():
             ahead = DQ(x).P().Ad(DQ(X)).vec3()
             yaws.append(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
-        return np.column_stack([middle(soles, series.trace.model)[:, :2], np.mean(yaws, axis=0)])
+        return np.column_stack([middle(soles, self._trace.model)[:, :2], np.mean(yaws, axis=0)])

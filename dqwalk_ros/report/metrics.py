@@ -25,11 +25,12 @@ from dqwalk_ros.paper.kinematics import Kinematics, compose, support_tree
 from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.report.ground import Ground
 from dqwalk_ros.report.hull import hull_margin
+from dqwalk_ros.report.spans import Ending, Span
 from dqwalk_ros.robot.model import RobotModel, Sole, parse_model
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ModelError
-from dqwalk_ros.trace import PhaseRecord, Trace
+from dqwalk_ros.trace import Trace
 
 # ---------------------------------------------------------------------- one state
 
@@ -83,65 +84,6 @@ def urdf_soles(trace: Trace) -> Mapping[Foot, Sole] | None:
     configured = trace.model.soles
     same = all(np.allclose(soles[foot].corners, configured[foot].corners, atol=1e-6) for foot in Foot)
     return None if same else soles
-
-
-@dataclass(frozen=True)
-class Ending:
-    """Quantities at the end of a phase, which is the first state of the next phase.
-
-    Attributes
-    ----------
-    error : float
-        Norm of the task error, as in `Series.error`.
-    com_to_axis : float
-        Horizontal distance of the CoM from the centre of the next support foot [m].
-    end : ndarray, shape (8,)
-        Pose of the other sole in the base sole's frame.
-    """
-
-    error: float
-    com_to_axis: float
-    end: Array
-
-    @classmethod
-    def at(cls, model: RobotModel, phase: Phase, q: Array) -> Ending:
-        """Return the end of a phase at joint angles `q` (n,)."""
-        kin = Kinematics(model, q, phase.base)
-        center = kin.point(model.soles[phase.support].frame, model.soles[phase.support].center)
-        return cls(phase.evaluate(kin.q).error, float(np.linalg.norm((kin.com - center)[:2])), kin.pose(kin.swing))
-
-
-@dataclass(frozen=True)
-class Span:
-    """One phase of the walk.
-
-    Attributes
-    ----------
-    record : PhaseRecord
-        The recorded start of the phase.
-    phase : Phase
-        The rebuilt phase.
-    start, end : int
-        Its ticks, ``start <= tick < end``.
-    ending : Ending or None
-        None if the walk stopped before the end of the phase, or the phase was interrupted.
-    """
-
-    record: PhaseRecord
-    phase: Phase
-    start: int
-    end: int
-    ending: Ending | None
-
-    @property
-    def ticks(self) -> slice:
-        """The ticks of the phase."""
-        return slice(self.start, self.end)
-
-    @property
-    def double(self) -> bool:
-        """Whether both feet are on the ground."""
-        return self.phase.double
 
 
 @dataclass(frozen=True)
@@ -270,7 +212,11 @@ class Series:
     def ground(self) -> Ground | None:
         """True motion and contact of a walk in physics; None without physics or ground."""
         physics, held = self.trace.physics, self.trace.config.physics.held
-        return None if physics is None or held or not np.isfinite(physics.pelvis).any() else Ground(self, physics)
+        return (
+            None
+            if physics is None or held or not np.isfinite(physics.pelvis).any()
+            else Ground(self.trace, self.spans, physics)
+        )
 
     def polygon_margin(self, points: Array, soles: Mapping[Foot, Sole] | None = None) -> Array:
         """Return the signed distance of points (N, 2) in the base sole's frame to the support polygon [m], (N,)."""

@@ -25,7 +25,8 @@ from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.report.binding import acting, limits_reached, most_loaded
 from dqwalk_ros.report.causes import causes
 from dqwalk_ros.report.ground import FALLEN, WAY, Ground, shortfall
-from dqwalk_ros.report.metrics import Ending, Series, Span, paper_margin, support_polygon
+from dqwalk_ros.report.metrics import Series, paper_margin, support_polygon
+from dqwalk_ros.report.spans import Ending, Span
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 

@@ -32,7 +32,8 @@ from dqwalk_ros.report.figures.style import (
     set_time_limits,
 )
 from dqwalk_ros.report.ground import Ground
-from dqwalk_ros.report.metrics import Series, Span, urdf_soles
+from dqwalk_ros.report.metrics import Series, urdf_soles
+from dqwalk_ros.report.spans import Span
 from dqwalk_ros.report.verdict import TILT
 from dqwalk_ros.robot.model import Sole
 from dqwalk_ros.support.arrays import Array

@@ -25,7 +25,8 @@ from dqwalk_ros.report.figures.style import (
     new_figure,
     set_time_limits,
 )
-from dqwalk_ros.report.metrics import Series, Span
+from dqwalk_ros.report.metrics import Series
+from dqwalk_ros.report.spans import Span
 from dqwalk_ros.support.arrays import Array
 
 _TONES = 10
