@@ -329,7 +329,7 @@ def _from_path(q: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JointPath(Task):
+class FollowPath(Task):
     """Task that all joints follow a path without feedback, which the fit would attribute to the servos.
 
     Attributes
@@ -389,7 +389,7 @@ class Exercise(Walk):
             swing_target=None,
             eta=self.config.task.eta,
             damping=1e-6,
-            tasks=(JointPath(name="path", path=self._path, dt=self.config.dt),),
+            tasks=(FollowPath(name="path", path=self._path, dt=self.config.dt),),
             equalities=(),
             inequalities=(),
             limits=joint_limits(self.config, self.model),

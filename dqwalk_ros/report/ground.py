@@ -92,7 +92,7 @@ class Circle:
         return cls(center, radius, float(np.sqrt(np.mean(off**2))))
 
 
-class Ground:
+class GroundTruth:
     """True motion and contact of a walk in physics: tilt of the soles, centre of pressure, path.
 
     Computed from the true pose of the pelvis, the true joint angles and the wrenches on the soles; the measured angles

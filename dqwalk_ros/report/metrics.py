@@ -23,7 +23,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.paper.kinematics import Kinematics, compose, support_tree
 from dqwalk_ros.paper.phase import Phase, PhaseKind
-from dqwalk_ros.report.ground import Ground
+from dqwalk_ros.report.ground import GroundTruth
 from dqwalk_ros.report.hull import hull_margin
 from dqwalk_ros.report.spans import Ending, Span
 from dqwalk_ros.robot.model import RobotModel, Sole, parse_model
@@ -209,14 +209,12 @@ class Series:
         return None if soles is None else self.polygon_margin(self.com_on_ground, soles)
 
     @cached_property
-    def ground(self) -> Ground | None:
+    def ground(self) -> GroundTruth | None:
         """True motion and contact of a walk in physics; None without physics or ground."""
         physics, held = self.trace.physics, self.trace.config.physics.held
-        return (
-            None
-            if physics is None or held or not np.isfinite(physics.pelvis).any()
-            else Ground(self.trace, self.spans, physics)
-        )
+        if physics is None or held or not np.isfinite(physics.pelvis).any():
+            return None
+        return GroundTruth(self.trace, self.spans, physics)
 
     def polygon_margin(self, points: Array, soles: Mapping[Foot, Sole] | None = None) -> Array:
         """Return the signed distance of points (N, 2) in the base sole's frame to the support polygon [m], (N,)."""

@@ -24,7 +24,7 @@ from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.report.binding import acting, limits_reached, most_loaded
 from dqwalk_ros.report.causes import causes
-from dqwalk_ros.report.ground import FALLEN, WAY, Ground, shortfall
+from dqwalk_ros.report.ground import FALLEN, WAY, GroundTruth, shortfall
 from dqwalk_ros.report.metrics import Series, paper_margin, support_polygon
 from dqwalk_ros.report.spans import Ending, Span
 from dqwalk_ros.robot.model import RobotModel
@@ -249,7 +249,7 @@ def _of_the_walk(series: Series) -> Iterator[Violation]:
         yield Violation("unit_norm", "", end, error, _UNIT_TOLERANCE, f"norm of a pose is off by {error:.2g}")
 
 
-def _of_the_ground(series: Series, of: Ground) -> Iterator[Violation]:
+def _of_the_ground(series: Series, of: GroundTruth) -> Iterator[Violation]:
     """Yield the violations in physics: fall, way, tilt of the sole, centre of pressure."""
     low = of.height < FALLEN * of.height[0]
     if low.any():
@@ -432,7 +432,7 @@ def _seconds_per_step(series: Series, landed: Sequence[Span]) -> float | None:
     return float(np.median(np.diff(landings)))
 
 
-def _physics(series: Series, of: Ground) -> dict[str, Any]:
+def _physics(series: Series, of: GroundTruth) -> dict[str, Any]:
     """Return the figures of a walk in physics."""
     stands, at = of.stands, int(np.nanargmax(of.tilt))
     landed = [span for span in series.spans if not span.double and span.ending is not None]

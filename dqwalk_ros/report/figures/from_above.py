@@ -31,7 +31,7 @@ from dqwalk_ros.report.figures.style import (
     new_figure,
     set_time_limits,
 )
-from dqwalk_ros.report.ground import Ground
+from dqwalk_ros.report.ground import GroundTruth
 from dqwalk_ros.report.metrics import Series, urdf_soles
 from dqwalk_ros.report.spans import Span
 from dqwalk_ros.report.verdict import TILT
@@ -236,7 +236,7 @@ def on_the_ground(series: Series) -> Figure:
     return fig
 
 
-def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
+def _draw_ground(ax: Axes, series: Series, of: GroundTruth) -> None:
     soles = series.trace.model.soles
     doubles = [(index, span) for index, span in enumerate(series.spans) if span.double]
     for foot in Foot:
@@ -251,7 +251,7 @@ def _draw_ground(ax: Axes, series: Series, of: Ground) -> None:
     _finish(ax, "A   True motion from above")
 
 
-def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
+def _draw_over_time(axes: list[Axes], series: Series, of: GroundTruth) -> None:
     """Draw the margin of the centre of pressure, the tilt, and which foot bears the weight."""
     tilt = np.degrees(of.tilt)
     most = float(np.nanmax(tilt))
@@ -271,7 +271,7 @@ def _draw_over_time(axes: list[Axes], series: Series, of: Ground) -> None:
     _draw_loads(axes[2], series, of)
 
 
-def _draw_loads(ax: Axes, series: Series, of: Ground) -> None:
+def _draw_loads(ax: Axes, series: Series, of: GroundTruth) -> None:
     """Draw the fraction of the weight on each foot as a bar over time, and the estimate as a line."""
     true = np.stack([of.physics.wrenches[foot][:, 2] for foot in Foot], axis=1)
     part = true[:, 0] / np.maximum(true.sum(axis=1), 1e-3)
