@@ -17,7 +17,7 @@ from dqwalk_ros.report.figures import figure8
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = {
     "one_tick": "largest KKT residual",
-    "walk": "double_support/left",
+    "walk": "OK: every constraint was kept",
     "bag_to_figure": "401 of 401 states",
     "physics": "finished after",
     "push": "it stands",
