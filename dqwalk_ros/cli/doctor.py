@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import click
@@ -10,6 +11,9 @@ import click
 from dqwalk_ros.cli.options import Real, command, config_of, config_option, params_option, plant_option, set_option
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.ros_environment import check_ros_environment
+
+_BY_HAND = 300.0
+"""Longest time for which joints are moved by hand [s]."""
 
 
 def _namespace(_: click.Context, __: click.Parameter, text: str) -> str:
@@ -25,6 +29,7 @@ examples:
   dqwalk doctor --plant poppy                              a Poppy whose poppy_driver runs
   dqwalk doctor --plant ros2_control --config my_robot.yaml
   dqwalk doctor --plant poppy --params identified.yaml     with the parameters of `dqwalk identify`
+  dqwalk doctor --plant poppy --by-hand                    torque off: is each joint the one of the model, and its sign?
   dqwalk doctor --offline                                  the configuration and its robot only
 """)
 @config_option("poppy")
@@ -33,7 +38,12 @@ examples:
 @click.option("--seconds", metavar="S", type=Real(0.5, 600.0), default=5.0, help="Time to listen [s].")
 @click.option("--namespace", metavar="NAME", default="", show_default=False, callback=_namespace,
               help="Namespace of the robot.")  # fmt: skip
-@click.option("--offline", is_flag=True, help="Check the configuration only.")
+@click.option(
+    "--by-hand",
+    is_flag=True,
+    help="Name each joint that you move, and where it moved by the model, for up to five minutes.",
+)
+@click.option("--offline", is_flag=True, help="Check the configuration only.")  # fmt: skip
 @set_option
 def doctor(
     config: str,
@@ -41,6 +51,7 @@ def doctor(
     plant: str,
     seconds: float,
     namespace: str,
+    by_hand: bool,
     offline: bool,
     changes: tuple[str, ...],
 ) -> int:
@@ -65,9 +76,20 @@ def doctor(
     if offline:
         return 1 if findings else 0
     check_ros_environment()
-    from dqwalk_ros.cli.readiness import examine
+    from dqwalk_ros.cli.readiness import ByHand, examine
     from dqwalk_ros.nodes.doctor import listen
 
+    if by_hand:
+        print("move each joint by hand, one after the other; seen from the pelvis, the model says:", flush=True)
+        moved = ByHand(model, partial(print, flush=True))
+        heard = listen(_BY_HAND, namespace, moved)
+        if not heard.states:
+            print("! no joint_states: start the driver, or the joint_state_broadcaster")
+        print(f"! not moved: {', '.join(moved.left)}" if moved.left else "every joint was moved")
+        print(
+            "where the robot did otherwise, the sign or the name of the joint is wrong, in its driver or in the model"
+        )
+        return 1 if moved.left else 0
     print(f"listening for {seconds:g} s; the robot must stand still", flush=True)
     wrong = len(findings)
     heard = listen(seconds, namespace)

@@ -22,6 +22,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY
+from dqwalk_ros.robot.directions import motion
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import StateError, shown
@@ -45,6 +46,8 @@ _POSTURE = 0.3
 """Largest distance of a joint from the first posture of the walk [rad]."""
 _MOVED = 0.05
 """Largest range of a joint's angles while the robot stands still [rad]; sensor noise and backlash are smaller."""
+_BY_HAND = 0.15
+"""Motion of a joint by hand from which on it is named [rad]: one that is pulled along moves less."""
 _BEHIND = 3600.0
 """Largest delay of a simulation whose stamps count from the time of the clock [s]."""
 _AT_REST = ("", "idle", "finished", "failed", "fallen")
@@ -296,6 +299,36 @@ def _check_diagnostics(config: Config, model: RobotModel, heard: Heard) -> str:
     if heard.errors:
         raise _Failed("; ".join(f"{name}: {text}" for name, text in heard.errors.items()))
     return "no errors" if heard.diagnosed else "not heard: no node reports on /diagnostics"
+
+
+class ByHand:
+    """Names the joints that are moved by hand, each once, and which way the model says that they moved.
+
+    Attributes
+    ----------
+    left : list of str
+        Joints that have not been moved yet.
+    """
+
+    def __init__(self, model: RobotModel, show: Callable[[str], None]) -> None:
+        self._model, self._show = model, show
+        self._reader = ros.JointReader(model.joint_names)
+        self._read, self._first = 0, np.zeros(0)
+        self.left = list(model.joint_names)
+
+    def __call__(self, heard: Heard) -> bool:
+        """Look at the states that have arrived since the last time; return whether every joint has been moved."""
+        new, self._read = heard.states[self._read :], len(heard.states)
+        for msg, _ in new:
+            with contextlib.suppress(StateError):
+                q = self._reader.state(msg).q
+                self._first = self._first if len(self._first) else q
+                for k in np.flatnonzero(np.abs(q - self._first) > _BY_HAND):
+                    if (name := self._model.joint_names[k]) in self.left:
+                        self.left.remove(name)
+                        turned = float(q[k] - self._first[k])
+                        self._show(f"  {name:22s} {turned:+.2f} rad: {motion(self._model, q, int(k), turned)}")
+        return not self.left
 
 
 CHECKS: dict[str, Check] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -159,8 +160,10 @@ class Doctor(Node):
         heard.subscribers = tuple(sorted({end.node_name for end in ends} - others))
 
 
-def listen(seconds: float, namespace: str = "") -> Heard:
+def listen(seconds: float, namespace: str = "", enough: Callable[[Heard], bool] = lambda heard: False) -> Heard:
     """Receive the messages of a robot for `seconds`, counted from its first state, and for `_DISCOVERY` at least.
+
+    It ends before that when `enough`, called several times a second, is true of what was heard.
 
     The first state is waited for as long. A walk is under way if its controller says so, so all publishers are to be
     discovered, and the latched messages of the discovered ones are waited for, at most for another `_LATCHED`.
@@ -182,6 +185,8 @@ def listen(seconds: float, namespace: str = "") -> Heard:
         started = False
         while (now := time.monotonic()) < end or (now < end + _LATCHED and node.unheard()):
             executor.spin_once(timeout_sec=0.1)
+            if enough(node.heard):
+                break
             if node.heard.states and not started:
                 started, began = True, time.monotonic()
                 end = max(began + seconds, discovered)
