@@ -108,6 +108,11 @@ class CommandInput:
             log.error(f"holding still: {reason}") if reason else log.info("commands are accepted")
         self._publish_ready()
 
+    def close(self) -> None:
+        """Say that no command is executed any more: otherwise the walk would fail without the plant."""
+        self.unable = "shut down"
+        self._publish_ready()
+
     def _publish_ready(self) -> None:
         """Publish whether commands are executed, so that the controller does not continue without the robot."""
         ready = self.gate.ready and not self.unable

@@ -128,7 +128,7 @@ class RobotDrive(WalkNode):
         self._controllers = RobotControllers(self, self._output, unnamed, o.interface, self.steady)
         self._last: Array | None = None  # values sent last
         self._led, self._holds, self._next = np.zeros((3, len(own)))  # by velocity: see `_lead_to`
-        self._rejected = 0
+        self._rejected, self._invalid = 0, ""  # states, and why the first one since the last valid one
         self.offer("~/reset", self._reset)
         self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
         self.create_subscription(JointState, VELOCITY, self._on_command, 1)
@@ -145,14 +145,14 @@ class RobotDrive(WalkNode):
             if outside := outside_limits(q[self._own], self._model, self.config.safety.outside):
                 raise StateError(f"outside the joint limits: {outside}")
         except StateError as error:
-            self._rejected += 1
+            self._rejected, self._invalid = self._rejected + 1, self._invalid or f": {error}"
             self.get_logger().error(f"joint_states rejected ({self._rejected} so far): {error}", **throttled())
             return
         now, stamp = self._now(), ros.nanoseconds(msg.header.stamp)
         if stamp and not self._follows(stamp, now):
             return
         self._steps.forget()
-        self._stamp = stamp
+        self._stamp, self._invalid = stamp, ""
         self._recent.append(q)
         self._law.measure(q[self._own], now)
         if self._law.fault:
@@ -224,17 +224,20 @@ class RobotDrive(WalkNode):
         """Find out whether commands can have an effect."""
         gate, fault, before = self._law.gate, self._law.fault, self._blind
         if self._stamp < 0:
-            self._blind = "no joint_states yet"
+            self._blind = f"no valid joint_states yet{self._invalid}"
         elif clock := self.time_trouble():
             self._blind = clock
         elif fault:
-            torque = "unless another controller moves it, switch its torque off, which this node cannot"
-            advice = "check its sensor" if gate.fault else torque
+            advice = "unless another controller moves it, switch its torque off, which this node cannot"
+            if gate.fault:
+                others = ros.publishers_of(self, "joint_states")
+                more = f", and that only one of {', '.join(others)} publishes it" if len(others) > 1 else ""
+                advice = f"check its sensor{more}"
             self._blind = f"{fault}: {advice}, then ~/reset"
         elif not gate.known:
             self._blind = f"{JUMPS} joint_states that agree have not arrived yet"
         elif not gate.fresh(self._now()):
-            self._blind = f"no valid joint_states for {self.config.plant.command_timeout:g} s"
+            self._blind = f"no valid joint_states for {self.config.plant.command_timeout:g} s{self._invalid}"
         else:
             self._blind = self._controllers.trouble
         if self._law.active and self._blind not in ("", before):
@@ -293,4 +296,5 @@ class RobotDrive(WalkNode):
 
     def close(self) -> None:
         """Command the robot to stay, because its controllers repeat the last command."""
+        self._commands.close()
         self._stay()

@@ -129,7 +129,7 @@ class Contradictions:
             self.joint = k
             return (
                 f"{self._model.joint_names[k]} does not follow its commands, it is {off:.2f} rad off: it is "
-                "blocked or without power, or its angle is frozen or has slipped"
+                "blocked or without power, its angle is frozen or has slipped, or the node that moves it was killed"
             )
         if before.up is None or before.gyro is None or state.up is None:
             return ""

@@ -164,6 +164,10 @@ class SimulatedPlant(WalkNode):
         self.on_step(before)
         self.publish()
 
+    def close(self) -> None:
+        """Say that the plant does not move any more."""
+        self.commands.close()
+
     def _diagnose(self) -> None:
         level, text = self.commands.level()
         if time_trouble := self.time_trouble():
@@ -327,6 +331,7 @@ class Physics(SimulatedPlant):
 
     def close(self) -> None:
         """Log the achieved rate and the delays of the ticks."""
+        super().close()
         if self.lockstep or len(self._late) < 2:
             return
         late = 1e3 * np.array(self._late)

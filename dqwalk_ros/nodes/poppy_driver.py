@@ -238,6 +238,7 @@ class PoppyDriver(WalkNode):
 
     def close(self) -> None:
         """Hold or switch the torque off, as configured, and close the buses."""
+        self._commands.close()
         try:
             self._plant.close()
         except PlantError as error:

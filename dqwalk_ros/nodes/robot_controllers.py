@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -11,14 +12,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 
-from dqwalk_ros.nodes.safety import Clock
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.safety import Clock, DuplicatePublishers
 
+_CHECK = 0.25
+"""Period of the check for duplicate publishers [s]."""
 _PATIENCE = 1.0
 """Time after which a node without a service for its parameters is trusted, and others are asked again [s]."""
 
 
 class RobotControllers:
-    """Decides whether those who subscribe to the commands of a robot may be sent any.
+    """Decides whether those who subscribe to the commands of a robot may be sent any: by one node only.
 
     A Float64MultiArray has neither names nor units: in another order it moves wrong joints, and an angle is no
     velocity. The controllers of ros2_control have both in their parameters ``joints`` and ``interface_name``, which are
@@ -51,6 +55,8 @@ class RobotControllers:
         self._cleared = False  # all have answered, and none that is confirmed has gone since
         self._had_one = False  # a confirmed one, without which nothing is sent any more
         self.wrong: dict[str, str] = {}
+        self._duplicates = DuplicatePublishers(clock)
+        self._others, self._counted = "", -math.inf  # who else publishes the commands, and when it was looked for [s]
 
     @property
     def trouble(self) -> str:
@@ -58,6 +64,8 @@ class RobotControllers:
         topic = self._output.topic_name
         if not self._output.get_subscription_count():
             return f"no node subscribes to {topic}: is the robot's controller active?"
+        if self._others:
+            return f"more than one node commands {topic}: {self._others}"
         if not self._expected:
             return ""
         if self.wrong:
@@ -70,7 +78,10 @@ class RobotControllers:
         return f"asking {names or f'the controller on {topic}'} for its parameters joints and interface_name"
 
     def look(self) -> None:
-        """Find out who subscribes, and ask those that have not answered."""
+        """Find out who subscribes, and ask those that have not answered; and who else publishes."""
+        if self._clock() - self._counted > _CHECK:
+            self._counted = self._clock()
+            self._others = self._duplicates.judge(ros.publishers_of(self._node, self._output.topic_name))
         if not self._expected:
             return
         ends = self._node.get_subscriptions_info_by_topic(self._output.topic_name)

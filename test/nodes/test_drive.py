@@ -253,6 +253,32 @@ def test_a_controller_that_would_misunderstand_its_commands_gets_none(make: Any,
         executor.shutdown()
 
 
+def test_a_second_node_that_commands_the_robot_stops_it(make: Any) -> None:
+    """Such as another drive, or sliders: the robot would jump from the goals of one to those of the other."""
+    driven = Driven(make, asks=True, output__type="joint_state", output__topic="joint_commands")
+    robot, sliders = (driven.one.foreign_node(name) for name in ("robot", "sliders"))
+    robot.create_subscription(JointState, "joint_commands", lambda _: None, 1)
+    until(lambda: driven.tick(0.1) or driven.sent)
+    other = sliders.create_publisher(JointState, "joint_commands", 1)
+    until(lambda: driven.tick(0.1) or driven.node._blind)
+    assert driven.node._blind == "more than one node commands /joint_commands: /drive, /sliders"
+    assert not driven.one.got["plant_ready"][-1].data
+    sent = [msg.position for msg in driven.sent]
+    driven.tick(0.1)
+    assert all(msg.position == sent[-1] for msg in driven.sent[len(sent) :])
+    sliders.destroy_publisher(other)
+    until(lambda: driven.tick(0.1) or not driven.node._blind)
+
+
+def test_a_drive_that_ends_is_not_ready(make: Any) -> None:
+    """The latched message of one that is gone would remain, and the walk fail with a joint that is blocked."""
+    one = Driven(make)
+    one.tick(0.1)
+    assert one.one.got["plant_ready"][-1].data
+    one.node.close()
+    assert not one.one.got["plant_ready"][-1].data
+
+
 def test_a_controller_that_is_loaded_again_is_asked_again(make: Any) -> None:
     """It may have another order now; meanwhile a listener remains, which is no controller."""
     driven = Driven(make, asks=True)
@@ -673,6 +699,21 @@ def test_no_output_without_all_angles(make: Any) -> None:
         one.tick(0.2)
     assert not one.sent
     assert "joints missing: gripper" in one.log
+    one.node._diagnose()
+    message = one.one.got["diagnostics"][-1].status[0].message
+    assert message.startswith("no valid joint_states yet: joints missing: gripper; it has a_gripper")
+
+
+def test_why_the_states_are_not_valid_is_said_on_diagnostics(make: Any) -> None:
+    one = Driven(make)
+    for _ in range(5):
+        one.tick(0.1)
+    for k in range(40):
+        one.q[KNEE] = 4.0 + 0.1 * k
+        one.tick(0.1)
+    stopping = [text for level, text in one.log.lines if text.startswith("stopping")]
+    assert len(stopping) == 1
+    assert stopping[0].startswith("stopping: no valid joint_states for 0.1 s: outside the joint limits: l_knee_y by")
 
 
 @pytest.mark.parametrize(
