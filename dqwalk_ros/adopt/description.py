@@ -14,13 +14,15 @@ _KINDS = ("*.urdf", "*.urdf.xacro", "*.xacro", "*.xml")
 """Names of robot descriptions, the most likely first; parts that others include are named like these as well."""
 _INCLUDED = re.compile(r"<(?:xacro:)?include\s[^>]*?file(?:name)?\s*=\s*[\"'][^\"']*?([^/\"']+)[\"']")
 """An element that includes a file, in xacro and in MJCF; the name of the file."""
+_CONVERT = "convert it to URDF or MJCF"
 _OTHERS = (
-    (rb"(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<sdf\b", "an SDF", "sdformat-mjcf on PyPI does"),
-    (rb"#usda|PXR-USDC", "a USD scene", "nvidia-srl-usd-to-urdf on PyPI does"),
-    (rb"#VRML", "VRML, as the files of Webots and OpenHRP", "Webots exports a URDF"),
-    (rb"format:\s*ChoreonoidBody", "a body of Choreonoid", "most of these robots have a URDF as well"),
+    (rb"(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<sdf\b", "an SDF", f"{_CONVERT} (sdformat-mjcf on PyPI does)"),
+    (rb"#usda|PXR-USDC", "a USD scene", f"{_CONVERT} (nvidia-srl-usd-to-urdf on PyPI does)"),
+    (rb"#VRML", "VRML, as the files of Webots and OpenHRP", f"{_CONVERT} (Webots exports a URDF)"),
+    (rb"format:\s*ChoreonoidBody", "a body of Choreonoid", f"{_CONVERT} (most of these robots have a URDF as well)"),
+    (rb"\s*<(!DOCTYPE\s+)?(html|HTML)\b", "a web page", "download the file that it shows (raw), and its meshes"),
 )
-"""How files of other formats begin, what they are, and where their robots are found as URDF or MJCF."""
+"""How files of other formats begin, what they are, and what to do."""
 _SHOWN = 8
 """Largest number of files in a message."""
 _BEGIN = 4096
@@ -54,9 +56,9 @@ def description_in(path: pathlib.Path) -> pathlib.Path:
     if path.is_file():
         with path.open("rb") as file:
             begin = file.read(_BEGIN)
-        for begins, what, who in _OTHERS:
+        for begins, what, cure in _OTHERS:
             if re.match(begins, begin, re.DOTALL):
-                raise ModelError(f"'{path}' is {what}, which is not read: convert it to URDF or MJCF ({who})")
+                raise ModelError(f"'{path}' is {what}, which is not read: {cure}")
     if not path.exists() and _ADDRESS.match(str(path)):
         raise ModelError(
             f"'{path}' is a web address: download the robot description with its meshes, and give its file"

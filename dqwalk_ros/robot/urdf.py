@@ -276,12 +276,11 @@ class Urdf:
             joint.axis = None if joint.axis is None else -joint.axis
 
     def _remove_world(self) -> None:
-        """Remove an empty root link named world: physics engines would fix it, and the robot with it, to the ground."""
+        """Remove a root link named world without mass, and its ground: engines would fix it, and with it the robot."""
         if "world" not in self.links:
             return
         link, children = self.links["world"], self.child_joints("world")
-        empty = not (link.inertial.mass or link.visuals or link.collisions)
-        if self.root == "world" and empty and len(children) == 1 and not moves(children[0]):
+        if self.root == "world" and not link.inertial.mass and len(children) == 1 and not moves(children[0]):
             del self.links["world"], self.joints[children[0].name]
             self.repairs.append("link 'world' is no part of the robot: removed, the robot floats")
             return

@@ -1060,6 +1060,7 @@ def test_a_folder_an_archive_and_an_address_lead_to_the_description_or_say_what_
         ("#usda 1.0\n", "is a USD scene"),
         ("#VRML_SIM R2023b utf8\nPROTO Darwin [ ] { }", r"Webots exports a URDF"),
         ("format: ChoreonoidBody\n", "is a body of Choreonoid"),
+        ("\n\n<!DOCTYPE html>\n<html><body>robot.urdf</body></html>", r"is a web page, .* download the file"),
     ],
 )
 def test_files_of_other_formats_are_named(text: str, message: str, tmp_path: Path) -> None:

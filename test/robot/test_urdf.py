@@ -144,6 +144,14 @@ REPAIRED = {
     ),
     "no body": (robot(link("a", MASS + ROUND.replace('izz="1"', 'izz="3"'))), "moments 1, 1, 3 "),
     "world": (robot(link("world"), A, joint("j", "world", "a", "fixed")), "'world' is no part of the robot"),
+    "world with a ground": (
+        robot(
+            link("world", more='<collision><geometry><box size="9 9 0.1"/></geometry></collision>'),
+            A,
+            joint("j", "world", "a", "fixed"),
+        ),
+        "'world' is no part of the robot",
+    ),
 }
 
 
