@@ -49,10 +49,11 @@ def decoded(content: bytes) -> bytes | str:
 
 def expanded(
     path: pathlib.Path, places: Sequence[str | os.PathLike[str]] = (), arguments: Mapping[str, str] | None = None
-) -> bytes:
-    """Return the URDF of a xacro file; `arguments` are the values of its xacro arguments.
+) -> tuple[bytes, list[str]]:
+    """Return the URDF of a xacro file, and the files that it includes and that are not found; these are left out.
 
-    ROS packages are also searched in the folders `places`, first.
+    They often have only colours, plugins of a simulator, or transmissions. `arguments` are the values of its xacro
+    arguments. ROS packages are also searched in the folders `places`, first.
 
     Raises
     ------
@@ -68,7 +69,7 @@ def expanded(
             f"'{path}' is a xacro file: pip install xacro, or expand it (xacro {path.name} > robot.urdf)"
         ) from error
     originals = substitution_args._eval_find, xacro.parse
-    missing: list[str] = []
+    missing, lost = list[str](), list[str]()
 
     def find(package: str) -> str:
         folder = _package(package, path, places)
@@ -79,25 +80,35 @@ def expanded(
     def parse(content: Any, filename: str | None = None) -> Any:
         if filename and filename.startswith(_UNKNOWN):  # its package has been renamed
             filename = str(find_package_file(f"package://{filename[len(_UNKNOWN) :]}", path, places) or filename)
-        if content is None and filename and _is_file(pathlib.Path(filename)):
+        if content is None and filename and not _is_file(pathlib.Path(filename)):
+            lost.append(filename.removeprefix(_UNKNOWN))
+            content = "<robot/>"
+        elif content is None and filename:
             content = decoded(pathlib.Path(filename).read_bytes())
             content = content if isinstance(content, str) else io.BytesIO(content)
         return originals[1](content, filename)
 
     substitution_args._eval_find, xacro.parse = find, parse
     try:
-        return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml()).encode()
+        return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml()).encode(), lost
     except (Exception, SystemExit) as error:  # xacro raises errors of its own, of XML parsing and of Python
-        if missing:
-            raise ModelError(
-                f"'{path}' needs the ROS package '{missing[0]}', which is not installed: give --package-path of the "
-                "folder that contains it"
-            ) from error
+        if missing or lost:
+            raise ModelError(needed(path, (missing or lost)[0])) from error
         why = " ".join(str(error).split())[:300]
         why += "; give it by --xacro NAME=VALUE" if "substitution argument" in why else ""
         raise ModelError(f"xacro refuses '{path}': {why}") from error
     finally:
         substitution_args._eval_find, xacro.parse = originals
+
+
+def needed(path: pathlib.Path, lost: str) -> str:
+    """Return the error of a xacro file that needs a package or a file of it (PACKAGE/...), or the file `lost`."""
+    if not os.path.isabs(lost):
+        package = lost.partition("/")[0]
+        why = f"the ROS package '{package}', which is not installed: give --package-path of the folder that contains it"
+    else:
+        why = f"the file '{lost}', which is not there"
+    return f"'{path}' needs {why}"
 
 
 def _package(name: str, near: pathlib.Path, places: Sequence[str | os.PathLike[str]] = ()) -> pathlib.Path | None:

@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.robot.packages import expanded
+from dqwalk_ros.robot.packages import expanded, needed
 from dqwalk_ros.robot.urdf_file import LARGEST, MOST_BYTES, elements, place
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
@@ -151,11 +151,19 @@ class Urdf:
         except OSError as error:
             raise ModelError(f"cannot read '{path}': {error.strerror}") from error
         foreign = b"ros.org/wiki/xacro" in data[:4000] and _XACRO.search(data)
+        lost = list[str]()
         if path.suffix == ".xacro" or (foreign and _EXPANDED not in data[:4000]):
-            data = expanded(path, packages, arguments or {})
+            data, lost = expanded(path, packages, arguments or {})
         elif arguments:
             raise ModelError(f"'{path}' is not a xacro file, so it has no argument '{next(iter(arguments))}'")
-        return cls(data, str(path))
+        try:
+            urdf = cls(data, str(path))
+        except ModelError as error:
+            if not lost:
+                raise
+            raise ModelError(needed(path, lost[0])) from error
+        urdf.repairs += [f"the file '{file}' that it includes is not found: left out" for file in lost]
+        return urdf
 
     @property
     def root(self) -> str:

@@ -1026,6 +1026,22 @@ def test_xacro_finds_the_files_of_a_package_that_has_been_renamed(tmp_path: Path
         Urdf.load(path)
 
 
+def test_files_that_xacro_includes_and_that_are_missing_are_left_out_where_no_link_needs_them(tmp_path: Path) -> None:
+    """As those of colours and plugins beside an exported robot."""
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    include = '<xacro:include filename="{}"/>'
+    path = tmp_path / "my.urdf"
+    path.write_text(head + include.format("$(find gone)/urdf/colours.xacro") + '<link name="a"/></robot>')
+    urdf = Urdf.load(path)
+    assert list(urdf.links) == ["a"]
+    assert urdf.repairs == ["the file 'gone/urdf/colours.xacro' that it includes is not found: left out"]
+    leg = '<link name="a"/><joint name="j" type="fixed"><parent link="a"/><child link="leg"/></joint></robot>'
+    for missing, needed in (("legs.xacro", r"legs\.xacro', which is not there"), ("$(find gone)/l", "package 'gone'")):
+        path.write_text(head + include.format(missing) + leg)
+        with pytest.raises(ModelError, match=needed):
+            Urdf.load(path)
+
+
 def test_a_folder_an_archive_and_an_address_lead_to_the_description_or_say_what_to_do(tmp_path: Path) -> None:
     def said(path: Path) -> str:
         with pytest.raises(ModelError) as error:
