@@ -61,6 +61,7 @@ def doctor(
     what to do. docs/hardware.md leads from a boxed robot to a first step. Exit code 1 if a check failed.
     """
     from dqwalk_ros.adopt.check import check, require_usable
+    from dqwalk_ros.plants.table import require_accepted
     from dqwalk_ros.robot.model import load_model
 
     made = config_of(config, changes, plant=plant, params=params)
@@ -68,6 +69,7 @@ def doctor(
     findings = check(made, model)
     if not findings:
         require_usable(made, model)
+        require_accepted(plant, made, model)
     print(f"{model.name}: {model.n} joints, configuration '{config}', plant {plant}")
     for finding in findings:
         print(f"! {'configuration':22s} {finding}")

@@ -24,11 +24,12 @@ from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.command_input import CommandInput
 from dqwalk_ros.nodes.robot_controllers import RobotControllers
 from dqwalk_ros.nodes.safety import ClockSteps
+from dqwalk_ros.plants.robot_output import commanded_joints
 from dqwalk_ros.plants.servo_goals import JUMPS, ServoGoals
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import ConfigError, StateError
+from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.topics import VELOCITY
 
 _TOPICS = {
@@ -100,17 +101,9 @@ class RobotDrive(WalkNode):
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("drive", options, **keywords)
         config = self.config
-        if config.plant.lockstep:
-            raise ConfigError("'plant.lockstep' must be false: a robot does not wait for its command")
         self._model = load_model(config.robot)
         o, own = config.output, self._model.joint_names
-        if o.type == "joint_trajectory" and o.interface == "velocity":
-            raise ConfigError("'output.type' joint_trajectory needs 'output.interface' position")
-        self._joints = o.joints or own  # of the robot's controllers
-        if missing := [name for name in own if name not in self._joints]:
-            raise ConfigError(f"'output.joints' lacks {', '.join(missing)}, which the walk moves")
-        if len(set(self._joints)) < len(self._joints):
-            raise ConfigError("'output.joints' names a joint twice")
+        self._joints = commanded_joints(config, self._model)
         self._own = np.array([self._joints.index(name) for name in own])  # the joints of the walk among them
         topic = o.topic or _TOPICS[o.type, o.interface]
         self._output = self.create_publisher(_TYPES[o.type], topic, 1)

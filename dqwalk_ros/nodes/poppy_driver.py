@@ -16,9 +16,10 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.command_input import CommandInput
 from dqwalk_ros.paper.state import Command
+from dqwalk_ros.plants.poppy.motors import require_bus
 from dqwalk_ros.plants.poppy.plant import PoppyPlant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.support.errors import ConfigError, PlantError
+from dqwalk_ros.support.errors import PlantError
 from dqwalk_ros.support.topics import FALLEN, VELOCITY
 
 _SOONEST = 0.5
@@ -64,7 +65,7 @@ class PoppyDriver(WalkNode):
     Raises
     ------
     ConfigError
-        In lockstep, or if dt is shorter than the period of the motor bus.
+        As `require_bus`, and the motors and their calibration.
     PlantError
         If the motors do not answer.
     """
@@ -75,13 +76,7 @@ class PoppyDriver(WalkNode):
         super().__init__("poppy_driver", options, **keywords)
         config = self.config
         self._period = 1.0 / config.poppy.rate
-        if config.plant.lockstep:
-            raise ConfigError("'plant.lockstep' must be false: a robot does not wait for its command")
-        if config.dt < 0.99 * self._period:
-            raise ConfigError(
-                f"'dt' is {config.dt:g} s, but the motors answer every {self._period:g} s (poppy.rate): "
-                f"set dt: {self._period:g}, as config/plants/poppy.yaml does"
-            )
+        require_bus(config)
         model = load_model(config.robot)
         posture = model.posture(config.standing.posture)
         self._plant = PoppyPlant(config, model, posture, clock=self.steady)

@@ -17,7 +17,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.support.errors import ConfigError, PlantError
 
 
 class Plant(ABC):
@@ -164,6 +164,18 @@ def center_of_pressure(soles: Mapping[Foot, Array], wrenches: Mapping[Foot, Arra
         pressed = wrench[..., [4, 3, 5]] * [-1.0, 1.0, 0.0] / np.maximum(force, 1e-3)  # point of the sole
         total, moment = total + force, moment + force * DQ(soles[foot]).transform_point(pressed)
     return np.where(total > 1e-2, moment / np.maximum(total, 1e-2), np.nan)
+
+
+def require_real_time(config: Config) -> None:
+    """Check that the plant is not to wait for its commands.
+
+    Raises
+    ------
+    ConfigError
+        In lockstep.
+    """
+    if config.plant.lockstep:
+        raise ConfigError("'plant.lockstep' must be false: a robot does not wait for its command")
 
 
 def stands_still(config: Config) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,8 @@ class Entry:
         Name of the file in ``config/plants/`` with what the plant requires of all nodes; empty without one.
     physics : bool
         Whether it simulates soles, servos and an inertial sensor.
+    requires : str
+        MODULE:FUNCTION of a configuration and a model that raises an error if the node of a robot would refuse them.
     """
 
     meaning: str
@@ -36,11 +39,14 @@ class Entry:
     type: str = ""
     parameters: str = ""
     physics: bool = False
+    requires: str = ""
 
 
 _IDEAL = "dqwalk_ros.plants.kinematic:KinematicPlant"
 _MUJOCO = "dqwalk_ros.plants.mujoco:PhysicsPlant"
 _DRAKE = "dqwalk_ros.plants.drake:DrakePlant"
+_OUTPUT = "dqwalk_ros.plants.robot_output:commanded_joints"
+_MOTORS = "dqwalk_ros.plants.poppy.motors:require_usable"
 
 PLANTS = {
     "integrator": Entry("ideal joints", "integrator", _IDEAL, "integrator"),
@@ -49,8 +55,10 @@ PLANTS = {
         "MuJoCo with Poppy's servos, delays and sensors", "physics", _MUJOCO, "poppy_as_built", physics=True
     ),
     "drake": Entry("Drake, another physics engine", "physics", _DRAKE, "physics", physics=True),
-    "ros2_control": Entry("a robot whose controllers are running", "drive", parameters="ros2_control"),
-    "poppy": Entry("the real Poppy", "poppy_driver", parameters="poppy"),
+    "ros2_control": Entry(
+        "a robot whose controllers are running", "drive", parameters="ros2_control", requires=_OUTPUT
+    ),
+    "poppy": Entry("the real Poppy", "poppy_driver", parameters="poppy", requires=_MOTORS),
 }
 
 
@@ -73,6 +81,19 @@ def entry(name: str) -> Entry:
     if name not in PLANTS:
         raise PlantError(f"no plant is called '{name}': {', '.join(PLANTS)}, or MODULE:CLASS of your own")
     return PLANTS[name]
+
+
+def require_accepted(name: str, config: Config, model: RobotModel) -> None:
+    """Check that the node of a robot accepts a configuration, without the robot.
+
+    Raises
+    ------
+    DqwalkError
+        As the node does when it starts.
+    """
+    if requires := entry(name).requires:
+        module, _, function = requires.partition(":")
+        getattr(importlib.import_module(module), function)(config, model)
 
 
 def defaults_of(node: str) -> Config:

@@ -134,6 +134,32 @@ def leaning(axis: int, degrees: float) -> Inertial:
     return Inertial(x.vec4(), np.zeros(3), up)
 
 
+@pytest.mark.parametrize(
+    ("plant", "change", "reason"),
+    [
+        ("poppy", "poppy.calibration=[l_hipy=2.0]", "'l_hipy=2.0' should be JOINT=DEGREES"),
+        ("poppy", "poppy.calibration=['l_hip_y=2,0']", "'l_hip_y=2,0' should be JOINT=DEGREES"),
+        ("poppy", "poppy.calibration=[l_hip_y=2, l_hip_y=3]", "l_hip_y is given twice"),
+        ("poppy", "poppy.motors=nowhere", "no table of motors 'nowhere'"),
+        ("poppy", "poppy.rate=20", "the motors answer every 0.05 s"),
+        ("poppy", "plant.lockstep=true", "a robot does not wait for its command"),
+        ("ros2_control", "output.joints=[l_hip_x]", "'output.joints' lacks l_hip_z"),
+        ("ros2_control", f"output.joints=[{', '.join(MODEL.joint_names)}, l_hip_x]", "names a joint twice"),
+        (
+            "ros2_control",
+            "output.type=joint_trajectory; output.interface=velocity",
+            "needs 'output.interface' position",
+        ),
+    ],
+)
+def test_what_the_node_of_a_robot_would_refuse_is_found_without_the_robot(
+    plant: str, change: str, reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = [word for one in change.split("; ") for word in ("--set", one)]
+    assert main(["doctor", "--offline", "--plant", plant, *changes]) == 2
+    assert reason in capsys.readouterr().err
+
+
 def test_joints_that_are_moved_by_hand_are_named_with_the_direction_of_the_model() -> None:
     """Each once; a joint of another sign or name is not noticed by any other check, and the robot falls."""
     shown: list[str] = []

@@ -14,7 +14,7 @@ from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
 from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.paper.state import Command, State
-from dqwalk_ros.plants.poppy.motors import Motor, load_motors
+from dqwalk_ros.plants.poppy.motors import Motor, load_motors, require_bus
 from dqwalk_ros.plants.poppy.plant import MIN_SPEED, PoppyPlant, register_speed
 from dqwalk_ros.robot.clearance import Clearance
 from dqwalk_ros.robot.model import load_model
@@ -461,8 +461,8 @@ def test_missing_ports_are_refused(port: str, expected: str) -> None:
 def test_one_port_is_not_that_of_both_buses(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to("/dev/null")
     own = CONFIG.updated({"poppy.lower_port": "/dev/null", "poppy.upper_port": str(tmp_path / "by-id")})
-    with pytest.raises(PlantError, match="are the same port"):
-        PoppyPlant(own, MODEL, np.zeros(MODEL.n))
+    with pytest.raises(ConfigError, match="are the same port"):
+        require_bus(own)
 
 
 def test_dummy_servos_can_be_read_and_activated() -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping
 from typing import Annotated
 
 import msgspec
 
 from dqwalk_ros.config import Config, find_file
-from dqwalk_ros.robot.servos import ServoType
+from dqwalk_ros.plants.base import require_real_time
+from dqwalk_ros.robot.model import RobotModel
+from dqwalk_ros.robot.servos import ServoType, load_types
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
 
@@ -117,13 +120,56 @@ def calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[s
     ConfigError
         If a text is something else, or names no motor.
     """
-    out = {}
+    out = dict[str, float]()
     for entry in entries:
         name, _, value = entry.partition("=")
         try:
-            out[name] = float(value)
+            degrees = float(value)
         except ValueError:
-            out[name] = math.nan
-        if name not in motors or not abs(out[name]) <= 45.0:
+            degrees = math.nan
+        if name not in motors or not abs(degrees) <= 45.0:
             raise ConfigError(f"poppy.calibration: '{entry}' should be JOINT=DEGREES, at most 45, such as l_hip_y=-3")
+        if name in out:
+            raise ConfigError(f"poppy.calibration: {name} is given twice")
+        out[name] = degrees
     return out
+
+
+def motors_of(config: Config, model: RobotModel) -> tuple[dict[str, Motor], dict[str, float]]:
+    """Return the motors of a robot by their joints, and the zero offsets of joints [deg].
+
+    Raises
+    ------
+    ConfigError
+        As `load_motors` and `calibration`, and if a joint of the model has no motor.
+    """
+    motors = load_motors(config.poppy.motors, load_types(config.servo.table))
+    if missing := [name for name in model.joint_names if name not in motors]:
+        raise ConfigError(f"the motors '{config.poppy.motors}' lack {', '.join(missing)} of {model.name}")
+    return motors, calibration(config.poppy.calibration, motors)
+
+
+def require_bus(config: Config) -> None:
+    """Check that the motor buses can do what the walk wants.
+
+    Raises
+    ------
+    ConfigError
+        In lockstep, if dt is shorter than the period of the buses, or if both have the same port.
+    """
+    require_real_time(config)
+    own, period = config.poppy, 1.0 / config.poppy.rate
+    if config.dt < 0.99 * period:
+        raise ConfigError(
+            f"'dt' is {config.dt:g} s, but the motors answer every {period:g} s (poppy.rate): "
+            f"set dt: {period:g}, as config/plants/poppy.yaml does"
+        )
+    ports = own.lower_port, own.upper_port
+    if not own.dummy and "auto" not in ports and os.path.realpath(ports[0]) == os.path.realpath(ports[1]):
+        raise ConfigError(f"poppy.lower_port and poppy.upper_port are the same port, {ports[0]}")
+
+
+def require_usable(config: Config, model: RobotModel) -> None:
+    """Check that the driver accepts a configuration, as `require_bus` and `motors_of` do."""
+    require_bus(config)
+    motors_of(config, model)

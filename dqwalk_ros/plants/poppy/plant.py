@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -34,13 +33,13 @@ from dqwalk_ros.plants.poppy.dynamixel import (
 )
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
 from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
-from dqwalk_ros.plants.poppy.motors import Motor, calibration, load_motors, typed
+from dqwalk_ros.plants.poppy.motors import Motor, motors_of, typed
 from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
 from dqwalk_ros.robot.limits import JointLimits
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.servos import Drive, Servos, ServoType, load_types
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import ConfigError, PlantError
+from dqwalk_ros.support.errors import PlantError
 
 if TYPE_CHECKING:
     from dqwalk_ros.robot.clearance import Clearance
@@ -117,10 +116,7 @@ class PoppyPlant(Plant):
     ) -> None:
         own, types = config.poppy, load_types(config.servo.table)
         self._model, self._config, self._window, self._clock = model, own, config.servo.window, clock
-        self.motors = load_motors(own.motors, types)
-        if missing := [name for name in model.joint_names if name not in self.motors]:
-            raise ConfigError(f"the motors '{own.motors}' lack {', '.join(missing)} of {model.name}")
-        zero = calibration(own.calibration, self.motors)
+        self.motors, zero = motors_of(config, model)
         self.names = (*model.joint_names, *(name for name in self.motors if name not in model.joint_names))
         self._table = [self.motors[name] for name in self.names]
         self._types = [types[motor.type] for motor in self._table]
@@ -542,11 +538,6 @@ def _difference(found: Identity, motor: Motor, kind: ServoType) -> str:
     return ""
 
 
-def _same_port(one: str, other: str) -> bool:
-    """Return whether two names are those of one port, maybe through links."""
-    return os.path.realpath(one) == os.path.realpath(other)
-
-
 def _opened(port: str, ids: Sequence[int]) -> Any:
     """Return a port by its name or, for ``auto``, the one of these servos, which may have another name each time."""
     return open_port(find_port(ids) if port == "auto" else port)
@@ -567,8 +558,6 @@ def open_buses(
     PlantError
         If dynamixel_sdk is missing, or a port cannot be opened.
     """
-    if not config.dummy and config.lower_port != "auto" and _same_port(config.lower_port, config.upper_port):
-        raise PlantError(f"poppy.lower_port and poppy.upper_port are the same port, {config.lower_port}")
     buses: dict[str, DynamixelBus] = {}
     named = {"lower": config.lower_port, "upper": config.upper_port}
     for name in sorted({motor.bus for motor in motors.values()}):
