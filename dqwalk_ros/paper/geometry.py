@@ -102,10 +102,10 @@ class ConvexPolygon:
     @cached_property
     def _edges(self) -> tuple[Array, Array]:
         a = self.vertices
-        t = np.roll(a, -1, axis=0) - a
-        n = np.stack([-t[:, 1], t[:, 0]], axis=1)
-        n /= np.linalg.norm(n, axis=1, keepdims=True)
-        return n, np.einsum("ij,ij->i", n, a)
+        t = np.concatenate([a[1:], a[:1]]) - a
+        n = t[:, ::-1] * (-1.0, 1.0)
+        n /= np.sqrt((n * n).sum(axis=1, keepdims=True))
+        return n, (n * a).sum(axis=1)
 
     def distance(self, p: ArrayLike) -> float:
         """Signed distance [m] of the ground projection of a point (2,) or (3,) from the boundary, positive inside.

@@ -204,8 +204,8 @@ def checked(values: ArrayLike, n: int, what: str) -> Array:
 
 
 def are_finite(values: Array) -> bool:
-    """Return whether all values (n,) are finite, of a few in less time than numpy takes."""
-    return all(map(math.isfinite, values.tolist()))
+    """Return whether all values (n,), and so their sum, are finite, of a few in less time than numpy takes."""
+    return math.isfinite(sum(values.tolist()))
 
 
 def pushed_periods(duration: float, dt: float) -> int:
