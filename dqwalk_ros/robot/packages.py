@@ -15,6 +15,7 @@ import re
 import urllib.parse
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
+from xml.dom import minidom
 
 from dqwalk_ros.support.errors import ModelError
 
@@ -22,6 +23,8 @@ POINTER = b"version https://git-lfs"
 """Beginning of the file that Git has in place of a large one which it has not fetched."""
 _EAST_ASIAN = ("gb2312", "gbk", "gb18030", "big5", "shift_jis", "euc-jp", "euc-kr")
 """Encodings of text that the XML parser does not know."""
+_OLD = "property", "macro", "include", "if", "unless", "insert_block"
+"""Elements that xacro knew without its prefix before ROS Kinetic, as it did macros."""
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 """The name of a package in its package.xml."""
 _ABOVE = 6
@@ -53,7 +56,7 @@ def expanded(
     """Return the URDF of a xacro file, and the files that it includes and that are not found; these are left out.
 
     They often have only colours, plugins of a simulator, or transmissions. `arguments` are the values of its xacro
-    arguments. ROS packages are also searched in the folders `places`, first.
+    arguments. ROS packages are also searched in the folders `places`, first. Files for old versions of xacro are read.
 
     Raises
     ------
@@ -70,6 +73,7 @@ def expanded(
         ) from error
     originals = substitution_args._eval_find, xacro.parse
     missing, lost = list[str](), list[str]()
+    old = _Old()
 
     def find(package: str) -> str:
         folder = _package(package, path, places)
@@ -86,11 +90,23 @@ def expanded(
         elif content is None and filename:
             content = decoded(pathlib.Path(filename).read_bytes())
             content = content if isinstance(content, str) else io.BytesIO(content)
-        return originals[1](content, filename)
+        document = originals[1](content, filename)
+        old.add_prefixes(document)
+        return document
+
+    def process() -> str:
+        missing.clear()
+        lost.clear()
+        return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml())
 
     substitution_args._eval_find, xacro.parse = find, parse
     try:
-        return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml()).encode(), lost
+        try:
+            text = process()
+        except Exception:
+            if not old.found:
+                raise
+        return (process() if old.found else text).encode(), lost  # calls of macros are known only now
     except (Exception, SystemExit) as error:  # xacro raises errors of its own, of XML parsing and of Python
         if missing or lost:
             raise ModelError(needed(path, (missing or lost)[0])) from error
@@ -99,6 +115,30 @@ def expanded(
         raise ModelError(f"xacro refuses '{path}': {why}") from error
     finally:
         substitution_args._eval_find, xacro.parse = originals
+
+
+class _Old:
+    """Gives elements of files for an old version of xacro their prefix, and calls of macros once one was `found`."""
+
+    def __init__(self) -> None:
+        self.found = False
+        self._macros = set[str]()
+
+    def add_prefixes(self, document: minidom.Document) -> None:
+        elements = [one for one in document.getElementsByTagName("*") if not _in_gazebo(one)]
+        for element in elements:
+            unusable = element.tagName == "property" and not element.getAttribute("name").isidentifier()
+            if (element.tagName in _OLD and not unusable) or (self.found and element.tagName in self._macros):
+                element.tagName = element.nodeName = f"xacro:{element.tagName}"
+                self.found = True
+            if element.tagName == "xacro:macro":
+                self._macros.add(element.getAttribute("name").removeprefix("xacro:"))
+
+
+def _in_gazebo(element: minidom.Node) -> bool:
+    """Return whether an element is a part of what Gazebo reads, which has elements of these names as well."""
+    above = element.parentNode
+    return above is not None and (above.nodeName == "gazebo" or _in_gazebo(above))
 
 
 def needed(path: pathlib.Path, lost: str) -> str:

@@ -1026,6 +1026,21 @@ def test_xacro_finds_the_files_of_a_package_that_has_been_renamed(tmp_path: Path
         Urdf.load(path)
 
 
+def test_xacro_without_its_prefix_is_expanded_as_old_versions_did(tmp_path: Path) -> None:
+    head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    (tmp_path / "parts.xacro").write_text(
+        f'{head}<property name="per-cent" value="0.01"/><property name="size" value="2"/>'
+        '<macro name="part" params="name *origin"><link name="${name}"><visual><insert_block name="origin"/>'
+        '<geometry><sphere radius="${2 * size}"/></geometry></visual></link></macro></robot>'
+    )
+    path = tmp_path / "my.xacro"
+    sdf = '<gazebo><include/><plugin><macro name="m"/></plugin></gazebo>'
+    path.write_text(f'{head}<include filename="parts.xacro"/>{sdf}<part name="a"><origin xyz="0 0 1"/></part></robot>')
+    (link,) = Urdf.load(path).links.values()
+    (visual,) = link.visuals
+    assert (link.name, visual.geometry.sphere.radius, visual.origin[2, 3]) == ("a", 4.0, 1.0)
+
+
 def test_files_that_xacro_includes_and_that_are_missing_are_left_out_where_no_link_needs_them(tmp_path: Path) -> None:
     """As those of colours and plugins beside an exported robot."""
     head = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
