@@ -70,14 +70,14 @@ def test_problems_of_other_sizes_do_not_disturb_a_careful_solution(monkeypatch):
         return attempt(self, problem, s, curvature, chosen, careful=True)
 
     monkeypatch.setattr(ClarabelSolver, "_solved", only_careful)
-    rng, solver, n = np.random.default_rng(0), ClarabelSolver(), 6
+    rng, solver, n = np.random.default_rng(0), make_solver("clarabel"), 6
     for m in (13, 4, 13, 2, 4):  # decreasing first: a larger program than that of the cache could crash the test
         G = rng.normal(size=(m, n))
         none, bounds = np.empty((0, n)), np.full(n, 3.0)
         rows = none, np.empty(0), G, -0.01 * np.ones(m)
         names = tuple(map(str, range(m + 2 * n)))
         problem = problem_of(np.eye(n), rng.normal(size=n), *rows, -bounds, bounds, names)
-        np.testing.assert_allclose(solver.solve(problem).u, ClarabelSolver().solve(problem).u, atol=1e-9)
+        np.testing.assert_allclose(solver.solve(problem).u, make_solver("clarabel").solve(problem).u, atol=1e-9)
         np.testing.assert_allclose(solver.solve(problem).u, exact(problem), atol=1e-7)
     assert len(careful_ones) == 15
     sizes = {program.posed[3].size for program in solver._programs.values()}  # of b

@@ -76,45 +76,6 @@ def test_rounding_errors_cause_no_motion(name):
         assert np.abs(solver.solve(still).u).max() < 1e-12
 
 
-def unopposed(rng, **sizes):
-    """Return a problem of which the inequalities and limits are far away."""
-    problem = random_problem(rng, **sizes)
-    l, n = problem.shape[1], len(problem.c)
-    w = np.concatenate([problem.w[:l], np.full(len(problem.w) - l, -1e4)])
-    return problem.replaced(w=w, lower=np.full(n, -1e4), upper=np.full(n, 1e4))
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-@pytest.mark.parametrize("equalities", [0, 4])
-def test_where_no_inequality_binds_no_solver_is_needed(name, equalities):
-    rng, solver = np.random.default_rng(2), SOLVERS[name]()
-    for _ in range(10):
-        problem = unopposed(rng, equalities=equalities)
-        problem.W[:equalities:2], problem.w[:equalities:2] = 0.0, 0.0  # 0 = 0, of dependent equalities
-        free, solved = solver.solve(problem), solver.constrained(problem)
-        assert free.iterations == 0
-        assert free.residuals(problem).largest < 1e-12
-        assert not free.z[equalities:].any()
-        assert np.abs(free.u - solved.u).max() < 1e-9 * np.abs(free.u).max()
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_equalities_that_depend_on_each_other_or_contradict_are_left_to_the_solver(name):
-    problem, solver = unopposed(np.random.default_rng(2), equalities=3), SOLVERS[name]()
-    problem.W[1], problem.w[1] = 2.0 * problem.W[0], 2.0 * problem.w[0]
-    assert solver.solve(problem).residuals(problem).largest < 1e-7
-    problem.w[1] += 1.0
-    with pytest.raises(QPError, match="row0"):
-        solver.solve(problem)
-
-
-def test_a_warm_start_is_tried_first_while_inequalities_bind():
-    rng, solver = np.random.default_rng(2), make_solver("daqp")
-    for problem, iterates in ((random_problem(rng), True), (random_problem(rng), True), (unopposed(rng), True)):
-        assert (solver.solve(problem).iterations > 0) is iterates
-    assert solver.solve(unopposed(rng)).iterations == 0
-
-
 @pytest.mark.parametrize("name", SOLVERS)
 def test_an_infeasible_problem_names_its_rows(name):
     solver, rng = SOLVERS[name](), np.random.default_rng(5)

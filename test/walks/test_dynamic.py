@@ -22,7 +22,6 @@ from dqwalk_ros.paper.features import Observer
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Phase, PhaseKind
-from dqwalk_ros.paper.qp.clarabel import ClarabelSolver
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.plants.table import make_plant
@@ -709,14 +708,9 @@ def test_warming_up_evaluates_every_kind_of_phase(
     evaluate, update = Phase.evaluate, FootLoads.update
     monkeypatch.setattr(Phase, "evaluate", lambda one, *rest: evaluated.append(one.kind) or evaluate(one, *rest))
     monkeypatch.setattr(FootLoads, "update", lambda *given: loads.append(update(*given)) or loads[-1])
-    constrained, solve = [], ClarabelSolver.constrained  # for the first state at which an inequality binds
-    monkeypatch.setattr(
-        ClarabelSolver, "constrained", lambda *given: constrained.append(solve(*given)) or constrained[-1]
-    )
     warm_up(overlaid(dq.load(name), plant).updated(changes), MODEL)
     assert {PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT} <= set(evaluated)
     assert loads[0] is not None
-    assert constrained
 
 
 def test_warming_up_evaluates_a_walk_that_is_prepared(monkeypatch: pytest.MonkeyPatch) -> None:

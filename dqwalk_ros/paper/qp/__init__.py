@@ -2,16 +2,11 @@
 
 import logging
 
-import numpy as np
-
 from dqwalk_ros.paper.qp.daqp import DaqpSolver
-from dqwalk_ros.paper.qp.least_distance import NnlsSolver, Solver
-from dqwalk_ros.paper.qp.problem import Problem
+from dqwalk_ros.paper.qp.least_distance import NnlsSolver
+from dqwalk_ros.paper.qp.problem import Solver
 
 __all__ = ["make_solver"]
-
-_FIRST = Problem.of(np.eye(1), np.ones(1), np.empty((0, 1)), np.empty(0), -np.ones(1), np.ones(1))
-"""A problem that compiles what a solver calls, so that the first one in which an inequality binds is not late."""
 
 
 def make_solver(name: str) -> Solver:
@@ -24,13 +19,8 @@ def make_solver(name: str) -> Solver:
     ConfigError
         If DAQP is chosen and not installed.
     """
-    solver = DaqpSolver(make_solver("clarabel")) if name == "daqp" else _made(name)
-    solver.constrained(_FIRST)
-    return solver
-
-
-def _made(name: str) -> Solver:
-    """Return Clarabel's solver, or scipy's."""
+    if name == "daqp":
+        return DaqpSolver(make_solver("clarabel"))
     if name == "clarabel":
         try:
             from dqwalk_ros.paper.qp.clarabel import ClarabelSolver

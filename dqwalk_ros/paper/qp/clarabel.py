@@ -9,7 +9,7 @@ import clarabel
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.paper.qp.least_distance import Posed, Solver, answer, pose, unsolved
+from dqwalk_ros.paper.qp.least_distance import Posed, answer, pose, unsolved
 from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, check, check_finite, parts, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
@@ -30,7 +30,7 @@ def _nearby(numbers: Array, shape: Shape) -> tuple[float, float, NDArray[np.int6
     return s, curvature, np.flatnonzero(slack <= max(_OMIT_BEYOND, slack.min()))
 
 
-class ClarabelSolver(Solver):
+class ClarabelSolver:
     """The interior-point solver Clarabel; one instance per shape of problem is kept and updated in place.
 
     Most inequalities of a walk are inactive and far from their bound, but each of them costs time in every iteration.
@@ -49,8 +49,14 @@ class ClarabelSolver(Solver):
         self._programs: dict[tuple[int, int, int, bool], _ClarabelProgram] = {}
         self.whole = 0
 
-    def constrained(self, problem: Problem) -> Solution:
-        """Return the solution of a problem in which inequalities may bind."""
+    def solve(self, problem: Problem) -> Solution:
+        """Return the solution of a problem.
+
+        Raises
+        ------
+        QPError
+            If there is no solution, or Clarabel's result does not fulfil the optimality conditions.
+        """
         s, curvature, near = _nearby(problem.numbers, problem.shape)
         check_finite(s, curvature)
         n, _, m = problem.shape

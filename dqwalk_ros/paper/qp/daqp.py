@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.paper.qp.least_distance import Solver
-from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, check, check_finite, kkt, parts, scale
+from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, Solver, check, check_finite, kkt, parts, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError, QPError, how_to_install
@@ -53,7 +52,7 @@ def _answer(
     return residuals
 
 
-class DaqpSolver(Solver):
+class DaqpSolver:
     """The active-set solver DAQP, warm started, several times faster than Clarabel; one instance per shape of problem.
 
     DAQP reports that there is no solution, but not which rows conflict. So if it fails, or its result does not fulfil
@@ -89,8 +88,14 @@ class DaqpSolver(Solver):
         self._fallback = fallback
         self.fallbacks = 0
 
-    def constrained(self, problem: Problem) -> Solution:
-        """Return the solution of a problem in which inequalities may bind."""
+    def solve(self, problem: Problem) -> Solution:
+        """Return the solution of a problem.
+
+        Raises
+        ------
+        QPError
+            If there is no solution; the rows in conflict are named.
+        """
         shape = n, l, m = problem.shape
         k, kept = l + m, self._models.get(shape)
         posed = kept[1] if kept else (np.empty((n, n)), np.empty(n), np.empty((k, n)), np.empty(n + k), np.empty(n + k))
@@ -113,10 +118,9 @@ class DaqpSolver(Solver):
             if flag == 1:
                 z = np.empty(k + 2 * n)
                 check(problem, *_answer(problem.numbers, shape, s, curvature, u, info["lam"], z))
-                self.opposed = bool(z[l:].any())
                 return Solution(u, z, info["iterations"], spent)
         except (QPError, RuntimeError):  # DAQP's own error is that a Hessian is not positive definite
             pass
         self.fallbacks += 1
         self._models.pop(shape, None)  # the next warm start must not use this active set
-        return self._fallback.constrained(problem)
+        return self._fallback.solve(problem)

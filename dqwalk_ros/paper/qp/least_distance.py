@@ -1,16 +1,13 @@
 """The quadratic program (U6) as a search for the point of a polyhedron that is nearest to the origin.
 
-Where no inequality binds, as in most of a walk, the point has a closed form (`Solver.solve`). Else Clarabel solves this
-form, and so does the active-set method of Lawson & Hanson, *Solving Least Squares Problems*, chapter 23: with scipy
-alone, for a machine without Clarabel, such as one that has Ubuntu's packages only.
+Clarabel solves this form, and so does the active-set method of Lawson & Hanson, *Solving Least Squares Problems*,
+chapter 23: with scipy alone, for a machine without Clarabel, such as one that has Ubuntu's packages only.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +19,6 @@ from dqwalk_ros.support.errors import QPError
 
 Posed = tuple[Array, Array, Array, Array]
 """M, q, A and b, as `pose` fills them."""
-_ROUNDING = 1e-12
-"""Largest scaled residual of a solution in closed form: a few rounding errors. A row that binds is violated by more."""
 _NEAREST = 1e-12
 """Least squared residual of the dual problem: below it the polyhedron is empty, or its nearest point 1e6 steps away."""
 
@@ -99,31 +94,6 @@ def answer(
     return residuals
 
 
-@jit
-def _under_equalities(numbers: Array, shape: Shape, u: Array, z: Array) -> tuple[float, float, float, float, int]:
-    """Fill u and z with the solution under the equalities alone; return its residuals in the whole problem (see `kkt`).
-
-    The point of E't = b that is nearest to the origin is t = -E y with E'E y = -b. Without it they are infinite.
-    """
-    n, l, _ = shape
-    s, curvature = scale(numbers, shape)
-    none = np.empty(0, np.int64)
-    posed = np.empty((n, n)), np.empty(n), np.empty((n, l)), np.empty(l)
-    E, b = posed[2:]
-    if math.isfinite(s) and pose(numbers, shape, s, curvature, none, posed):
-        G, root = E.T @ E, np.empty((l, l))
-        for j in range(l):
-            if G[j, j] == 0.0:
-                G[j, j] = 1.0  # the row 0 = 0 of dependent equalities
-        if _invert_factor(G, root):
-            y = -(root.T @ (root @ b))
-            residuals: tuple[float, float, float, float, int] = answer(
-                numbers, shape, s, curvature, none, posed, -(E @ y), y, u, z
-            )
-            return residuals
-    return math.inf, math.inf, math.inf, math.inf, -1
-
-
 def unsolved(problem: Problem, status: str, z: Array) -> QPError:
     """Return the error of a problem without a solution; the rows with the largest multipliers conflict."""
     worst = np.argsort(-np.abs(z))[:6]
@@ -133,45 +103,7 @@ def unsolved(problem: Problem, status: str, z: Array) -> QPError:
     return QPError(f"the quadratic program has no solution ({status}){conflict}", status=status, rows=rows)
 
 
-class Solver(ABC):
-    """Solves a problem in which no inequality binds in closed form; a subclass solves the others.
-
-    Most of a walk are such problems, whose constraints are satisfied without an effect on u.
-
-    Attributes
-    ----------
-    name : str
-        As ``qp.solver`` calls it.
-    opposed : bool
-        Whether to expect that inequalities bind, as in the last problem, so that the closed form is not tried first.
-    """
-
-    name: ClassVar[str]
-    opposed = False
-
-    def solve(self, problem: Problem) -> Solution:
-        """Return the solution of a problem, without iterations if no inequality binds.
-
-        Raises
-        ------
-        QPError
-            If there is no solution, with the rows in conflict, or the result does not fulfil the optimality conditions.
-        """
-        if self.opposed:
-            return self.constrained(problem)
-        n, l, m = problem.shape
-        u, z = np.empty(n), np.empty(l + m + 2 * n)
-        began = time.perf_counter()
-        residuals = _under_equalities(problem.numbers, problem.shape, u, z)
-        spent = time.perf_counter() - began
-        return Solution(u, z, 0, spent) if max(residuals[:4]) <= _ROUNDING else self.constrained(problem)
-
-    @abstractmethod
-    def constrained(self, problem: Problem) -> Solution:
-        """Return the solution of a problem in which inequalities may bind; see `solve`."""
-
-
-class NnlsSolver(Solver):
+class NnlsSolver:
     """Lawson & Hanson's least distance programming: its dual is a problem of non-negative least squares.
 
     The multipliers y >= 0 of A't <= b minimise |[A; b'] y + f|^2 with f = (0, ..., 0, 1). With its residual r, the
@@ -186,8 +118,14 @@ class NnlsSolver(Solver):
 
         self._nnls = nnls
 
-    def constrained(self, problem: Problem) -> Solution:
-        """Return the solution of a problem; its number of iterations is that of its active rows."""
+    def solve(self, problem: Problem) -> Solution:
+        """Return the solution of a problem; its number of iterations is that of its active rows.
+
+        Raises
+        ------
+        QPError
+            If there is no solution, or the result does not fulfil the optimality conditions.
+        """
         n, l, m = problem.shape
         s, curvature = scale(*problem[:2])
         check_finite(s, curvature)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -220,6 +220,15 @@ class Solution:
         """Return the residuals of the Karush-Kuhn-Tucker conditions."""
         given = problem[:2]
         return Residuals(*kkt(*given, self.u, self.z, *scale(*given)))
+
+
+class Solver(Protocol):
+    """Interface of the solvers."""
+
+    name: str
+
+    def solve(self, problem: Problem) -> Solution:
+        """Return the solution; raise `QPError` if there is none."""
 
 
 # ---------------------------------------------------------------------- scaling and check of the solution
