@@ -17,10 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum, sampled, vfi
+from dqwalk_ros.paper.constraints import Constraint, JointMaximum, JointMinimum, vfi
 from dqwalk_ros.paper.features import BODIES, QUANTITY, WATCHED, Quantity, Watched, observe
 from dqwalk_ros.paper.kinematics import Bodies, Kinematics, forward
 from dqwalk_ros.paper.qp.problem import Problem, Shape, objective, parts
+from dqwalk_ros.paper.rows import Rows, slices
 from dqwalk_ros.paper.tasks import Task, converge
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import INTEGERS, MATRIX, TABLE, VECTOR, Record, jit
@@ -63,7 +64,7 @@ class Evaluation:
     @property
     def margins(self) -> Array:
         """Signed distance minus its bound of each row of the constraints, shape (l + m + 2n,)."""
-        margins: Array = self.values[self.assembly.task_rows :] - self.assembly.rows[0]
+        margins: Array = self.values[self.assembly.task_rows :] - self.assembly.rows.numbers[0]
         return margins
 
     def share(self, names: Collection[str]) -> tuple[Array, Array]:
@@ -75,7 +76,7 @@ class Evaluation:
 
     def distances(self) -> dict[str, float]:
         """Return each signed distance minus its bound, by name: >= 0 for a satisfied inequality, 0 for an equality."""
-        return {name: float(d) for name, d in self.assembly.by_name(self.margins).items()}
+        return {name: float(d) for name, d in self.assembly.rows.by_name(self.margins).items()}
 
 
 class _Stack(NamedTuple):
@@ -241,24 +242,16 @@ class Assembly:
 
     Attributes
     ----------
-    names : tuple of str
-        Names of the rows of the quadratic program: equalities, inequalities, upper and lower joint limits.
-    rows : ndarray, shape (3, l + m + 2n)
-        Bound, eta and return speed of each row.
-    spans, task_spans : dict of str to slice
-        The rows of each constraint, and of each task.
+    rows : Rows
+        Of the constraints.
+    task_spans : dict of str to slice
+        The rows of each task.
     task_rows : int
         Number of rows of the tasks, r.
-    equality_rows : int
-        Number of equality rows, l.
     sqrt_weights : ndarray, shape (r,)
         Square roots of the weights of the tasks' rows.
     damping : float
         lambda of (U6).
-    near : ndarray, shape (l + m,)
-        Distance above its bound from which on a row is left out of the program (`Constraint.near`).
-    radius : ndarray, shape (l + m + 2n,)
-        R of `constraints.sampled`: the height of the CoM at the start; zero for the joint limits [m].
     """
 
     def __init__(
@@ -273,20 +266,12 @@ class Assembly:
         damping: float,
     ) -> None:
         self._given = kin, tasks, equalities, inequalities, limits, eta, damping
-        joint_names, constraints = kin.model.joint_names, (*equalities, *inequalities)
-        every = (*constraints, *limits)
-        names = [constraint.row_names(joint_names) for constraint in every]
-        self.names = tuple(name for group in names for name in group)
-        counts = [len(group) for group in names]
-        self.rows = np.repeat([[c.bound, c.eta, c.return_speed] for c in every], counts, axis=0).T.copy()
-        self.spans = {c.name: span for c, span in zip(every, _slices(counts), strict=True)}
-        self.near = np.repeat([c.near for c in constraints], counts[:-2])
-        self._always = not np.isfinite(self.near).any()
-        self.equality_rows = sum(counts[: len(equalities)])
-
+        self.rows = Rows.of(kin, equalities, inequalities, limits)
+        self._always = not np.isfinite(self.rows.near).any()
+        n, tree, every = len(kin.q), kin.tree, (*equalities, *inequalities, *limits)
+        counts = [len(constraint.row_names(kin.model.joint_names)) for constraint in every]
         stacked: tuple[Quantity, ...] = (*tasks, *every)
         functions = QUANTITY.table([type(item).function for item in stacked])
-        n, tree = len(joint_names), kin.tree
         watched, columns = Watched.of((item.watches for item in stacked[:-2]), tree)
         observe(kin.bodies, watched)
         columns += [slice(0, 0)] * 2  # a limit is one of q
@@ -299,18 +284,17 @@ class Assembly:
                 raise ValueError(f"{constraint.name} has {size} distances, but names {count} rows")
         self.task_rows = sum(sizes)
         self.sqrt_weights = np.repeat([task.weight**0.5 for task in tasks], sizes)
-        rows = _slices([*sizes, *counts])
-        self.task_spans = {task.name: row for task, row in zip(tasks, rows, strict=False)}
+        every_row = slices([*sizes, *counts])
+        self.task_spans = {task.name: span for task, span in zip(tasks, every_row, strict=False)}
 
-        parts, parameters = _slices([len(part) for part in given]), np.concatenate(given)
+        parts, parameters = slices([len(part) for part in given]), np.concatenate(given)
         live = [(item.live, parameters[part]) for item, part in zip(stacked, parts, strict=True)]
         self._live = [(numbers, copy[: len(numbers)]) for numbers, copy in live if numbers is not None]
-        spans = [(at.start, at.stop) for three in zip(rows, columns, parts, strict=True) for at in three]
-        groups = [(at.start, at.stop) for at in _slices(counts[: len(equalities)]) if at.stop - at.start > 1]
-        count = rows[-3].stop
-        self._shape = n, self.equality_rows, count - self.task_rows - self.equality_rows
+        spans = [(at.start, at.stop) for three in zip(every_row, columns, parts, strict=True) for at in three]
+        groups = [(at.start, at.stop) for at in slices(counts[: len(equalities)]) if at.stop - at.start > 1]
+        count = every_row[-3].stop
+        self._shape = n, self.rows.equalities, len(self.rows.near) - self.rows.equalities
         self.damping = damping
-        self.radius = np.append(np.full(len(self.near), kin.com[2]), np.zeros(2 * n))
         self._memory = _Memory(
             tree.tree,
             tree.links,
@@ -326,7 +310,7 @@ class Assembly:
             _Form(
                 np.array([(eta if task.eta is None else task.eta, task.saturation) for task in tasks]),
                 self.sqrt_weights,
-                self.rows,
+                self.rows.numbers,
                 np.array(groups, dtype=np.int64).reshape(-1, 2),
             ),
         )
@@ -337,33 +321,24 @@ class Assembly:
     def __call__(
         self, q: Array, up: Array, elapsed: float = math.inf, dt: float | None = None, velocity: Array | None = None
     ) -> Evaluation:
-        """Return values and quadratic program; see `walk.Phase.evaluate`."""
+        """Return values and quadratic program; see `phase.Phase.evaluate`."""
         for live, copy in self._live:
             copy[:] = live
         (n, l, m), r = self._shape, self.task_rows
         values, J, wanted = np.empty(r + l + m + 2 * n), np.empty((r + l + m, n)), np.empty(r)
-        problem = Problem.empty(self._shape, self.names)
+        problem = Problem.empty(self._shape, self.rows.names)
         error = _assemble(
             q, up, elapsed, _ANY if dt is None else dt, self._unlimited if velocity is None else velocity, self.damping,
             self._table, values, J, wanted, problem.numbers, problem.shape,
         )  # fmt: skip
         if not self._always:
-            enters = self.near
+            enters = self.rows.near
             if dt is not None and velocity is not None:  # nothing beyond reaches its bound within a period
                 enters = np.maximum(enters, dt * np.abs(J[r:]) @ velocity)
-            kept = ~(values[r : -2 * n] - self.rows[0, : l + m] >= enters)  # also what is not a number
-            names = itertools.compress(self.names, [*kept, *[True] * (2 * n)])
+            kept = ~(values[r : -2 * n] - self.rows.numbers[0, : l + m] >= enters)  # also what is not a number
+            names = itertools.compress(self.rows.names, [*kept, *[True] * (2 * n)])
             problem = problem.replaced(W=problem.W[kept], w=problem.w[kept], names=tuple(names))
         return Evaluation(self, values, J, wanted, problem, error)
-
-    def after(self, margins: Array, q: Array, q_after: Array, period: float, dt: float) -> Array:
-        """Return the least margins (l + m + 2n,) after a period [s] that began with some; see `constraints.sampled`.
-
-        The margin of an equality is -|d|. Of a body that is too far for a row it is only known that it does not touch.
-        """
-        turned = float(np.abs(q_after - q).sum())
-        least: Array = least_after(margins, self.rows, self.near, self.radius, turned, period, dt)
-        return least
 
     def error(self, kin: Kinematics, elapsed: float) -> float:
         """Return the norm of the first task's error, `elapsed` [s] after the phase began, without the program."""
@@ -375,33 +350,6 @@ class Assembly:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _made, self._given  # the addresses of functions are those of this process
-
-    def by_name(self, margins: Array) -> dict[str, Array]:
-        """Return the margins (...) of each constraint, by name, from those of all rows (..., l + m + 2n).
-
-        For a constraint of several rows it is the smallest one; for an equality the one with the largest magnitude.
-        """
-        out = {}
-        for name, span in self.spans.items():
-            part = margins[..., span]
-            if span.stop <= self.equality_rows:
-                largest = np.abs(part).argmax(axis=-1, keepdims=True)
-                out[name] = np.take_along_axis(part, largest, axis=-1)[..., 0]
-            else:
-                out[name] = part.min(axis=-1)
-        return out
-
-
-@jit
-def least_after(
-    margins: Array, rows: Array, near: Array, radius: Array, turned: float, period: float, dt: float
-) -> Array:
-    """Return the least margins after a period; see `Assembly.after`, which has the other arguments."""
-    least: Array = sampled(margins, rows[1], rows[2], dt, period, turned, radius)
-    for i in range(len(near)):
-        if margins[i] >= near[i]:
-            least[i] = -0.5 * radius[i] * turned**2
-    return least
 
 
 @jit
@@ -420,11 +368,6 @@ def _checked(item: Quantity, function: int, s: Array, parameters: Array) -> int:
             f"{(rates,)}, not {(count, len(s))} and {(count,)}"
         )
     return int(count)
-
-
-def _slices(sizes: Sequence[int]) -> list[slice]:
-    """Return the slices of consecutive blocks of the given sizes."""
-    return [slice(end - size, end) for end, size in zip(itertools.accumulate(sizes), sizes, strict=True)]
 
 
 def _made(*given: Any) -> Assembly:

@@ -85,31 +85,6 @@ def vfi(d: Array, bound: Array, eta: Array, return_speed: Array, dt: float) -> A
     return np.minimum(-np.minimum(eta, 1.0 / dt) * (d - bound), return_speed)
 
 
-@jit
-def sampled(
-    d: Array, eta: Array, return_speed: Array, dt: float, period: float, turned: float, radius: Array
-) -> Array:  # fmt: skip
-    """Least margins after a period that began with the margins d, all (k,): what `vfi` requires in sampled time.
-
-    d+ >= d + T w - R/2 (sum_i |q+_i - q_i|)^2, which is (1 - eta T) d less the curvature of the distance of a point
-    from a plane along the motion; other distances may curve more (docs/equations.md, Discrete time).
-
-    Parameters
-    ----------
-    d, eta, return_speed : ndarray, shape (k,)
-        Distances above their bounds, and the parameters of `vfi`.
-    dt, period : float
-        Control period, and the time T that passed [s]; what is below its bound need not return for longer than dt.
-    turned : float
-        Sum of the absolute changes of all joint angles [rad].
-    radius : ndarray, shape (k,)
-        R: largest distance of the point from the joints' axes [m]; zero for a joint's angle.
-    """
-    w = vfi(d, np.zeros(d.shape[0]), eta, return_speed, dt)
-    least: Array = d + np.where(w < 0.0, period, min(period, dt)) * w - 0.5 * radius * turned**2
-    return least
-
-
 @dataclass(frozen=True, kw_only=True)
 class Constraint(Quantity):
     """Keep a signed distance at or above its bound: J u >= -eta (d - bound).

@@ -16,13 +16,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dqwalk_ros.paper.assembly import least_after
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMassOnGround, Observer, Pose
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon
 from dqwalk_ros.paper.kinematics import Kinematics, compose, support_tree
 from dqwalk_ros.paper.phase import Phase, PhaseKind
+from dqwalk_ros.paper.rows import least_after
 from dqwalk_ros.report.ground import GroundTruth
 from dqwalk_ros.report.hull import hull_margin
 from dqwalk_ros.report.spans import Ending, Span
@@ -100,7 +100,7 @@ class Series:
         Residual of each equality: zero while it holds.
     spare : dict of str to ndarray, shape (N,)
         Distance of each inequality less the least one that the sampled-data bound allows after the period before it,
-        per second (`Assembly.after`); nan at the start of a phase, inf where the program leaves out what is far.
+        per second (`rows.least_after`); nan at the start of a phase, inf where the program leaves out what is far.
     held : dict of str to ndarray, shape (N,)
         The same since the start of the phase, for equalities and inequalities: not negative while the bound holds.
     com, pelvis : ndarray, shape (N, 3)
@@ -268,13 +268,13 @@ def analyse(trace: Trace) -> Series:
         spans.append(Span(record, phase, ticks.start, ticks.stop, ending))
         features = Pose(model.soles[phase.base.other].frame), Pose(model.pelvis), CenterOfMassOnGround()
         observe = Observer(features, support_tree(model, phase.base))
-        margins = np.empty((len(ticks), len(phase.assembly.names)))
+        margins = np.empty((len(ticks), len(phase.assembly.rows.names)))
         for k, tick in enumerate(ticks):
             kin = Kinematics.measured(model, trace.q[tick], phase.base, trace.up(tick))
             margins[k] = phase.evaluate(kin.q, kin.up, trace.time[tick] - trace.time[ticks.start]).margins
             task_error[tick] = phase.assembly.error(kin, math.inf)  # from the end of a path
             com[tick], seen[tick] = kin.com, observe(kin)[0]
-        at, by_name = slice(ticks.start, ticks.stop), phase.assembly.by_name
+        at, by_name = slice(ticks.start, ticks.stop), phase.assembly.rows.by_name
         left, since = (by_name(values) for values in _sampled(phase, config.dt, trace.time[at], trace.q[at], margins))
         found = by_name(margins)
         for table, rows, values in (
@@ -291,15 +291,13 @@ def analyse(trace: Trace) -> Series:
 
 def _sampled(phase: Phase, dt: float, time: Array, q: Array, margins: Array) -> tuple[Array, Array]:
     """Return `Series.spare` and `Series.held` of each row of a phase of some ticks, both (ticks, rows)."""
-    made = phase.assembly
-    d = margins.copy()
-    d[:, : made.equality_rows] = -np.abs(d[:, : made.equality_rows])  # an equality converges from either side
+    rows, d = phase.assembly.rows, margins.copy()
+    d[:, : rows.equalities] = -np.abs(d[:, : rows.equalities])  # an equality converges from either side
     spare, held = np.full(d.shape, np.nan), np.zeros(d.shape)
-    _follow_bounds(
-        d, np.diff(time), np.abs(np.diff(q, axis=0)).sum(axis=1), dt, made.rows, made.near, made.radius, spare, held
-    )
-    rows = len(made.near)
-    spare[1:, :rows][d[:-1, :rows] >= made.near] = np.inf
+    turned = np.abs(np.diff(q, axis=0)).sum(axis=1)
+    _follow_bounds(d, np.diff(time), turned, dt, rows.numbers, rows.near, rows.radius, spare, held)
+    count = len(rows.near)
+    spare[1:, :count][d[:-1, :count] >= rows.near] = np.inf
     return spare, held
 
 
@@ -309,15 +307,15 @@ def _follow_bounds(
     periods: Array,
     turned: Array,
     dt: float,
-    rows: Array,
+    numbers: Array,
     near: Array,
     radius: Array,
     spare: Array,
     held: Array,
 ) -> None:
-    """Fill `spare` and `held` from the margins d of some ticks, all (ticks, rows); see `Assembly.after`."""
+    """Fill `spare` and `held` from the margins d of some ticks, all (ticks, rows); see `rows.least_after`."""
     least = d[0]
     for k in range(len(periods)):
-        spare[k + 1] = (d[k + 1] - least_after(d[k], rows, near, radius, turned[k], periods[k], dt)) / periods[k]
-        least = least_after(least, rows, near, radius, turned[k], periods[k], dt)
+        spare[k + 1] = (d[k + 1] - least_after(d[k], numbers, near, radius, turned[k], periods[k], dt)) / periods[k]
+        least = least_after(least, numbers, near, radius, turned[k], periods[k], dt)
         held[k + 1] = d[k + 1] - least

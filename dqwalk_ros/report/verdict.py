@@ -1,7 +1,7 @@
 """Checks of a walk: the assessment of a single state, the rules violated by a whole walk, and the report in numbers.
 
 The rules are those of the paper in sampled time: in every period a distance approaches its bound no faster than
-`constraints.sampled` allows, and so does the residual of an equality; the end foot is on the ground in double support,
+`rows.sampled` allows, and so does the residual of an equality; the end foot is on the ground in double support,
 every phase ends by its own rule, and every step lands on its target.
 """
 

@@ -99,7 +99,9 @@ def test_delay_and_stiffness_are_identified_in_physics(latency: float, stiffness
     for _ in closed_loop(controller, plant):
         pass
     found = controller.predictor.watch
-    print(f"{1e3 * found.delay:.1f} of {1e3 * latency:.0f} ms, {100.0 * found.stiffness:.0f} % of the stiffness assumed")
+    print(
+        f"{1e3 * found.delay:.1f} of {1e3 * latency:.0f} ms, {100.0 * found.stiffness:.0f} % of the stiffness assumed"
+    )
     assert found.delay == pytest.approx(latency, abs=0.01)
     if not latency:
         assert found.stiffness == pytest.approx(stiffness / 60.0, rel=0.15)

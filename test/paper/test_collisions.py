@@ -218,7 +218,7 @@ def test_only_a_pair_that_is_near_has_a_row():
     assert distance > 1e-3
     for one, other in zip(far.problem, plain.problem, strict=True):
         np.testing.assert_array_equal(one, other)
-    reach = 0.005 * np.abs(far.J[far.assembly.task_rows :][far.assembly.spans["apart_l_shin_r_shin"]]).sum()
+    reach = 0.005 * np.abs(far.J[far.assembly.task_rows :][far.assembly.rows.spans["apart_l_shin_r_shin"]]).sum()
     for speed, rows in ((0.9 * distance / reach, 0), (1.1 * distance / reach, 1)):  # it could touch within a period
         limited = evaluated(1e-3, velocity=np.full(MODEL.n, speed))
         assert len(limited.problem.w) == len(plain.problem.w) + rows

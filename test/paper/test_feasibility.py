@@ -162,4 +162,4 @@ def test_an_infeasible_posture_names_the_conflicting_rows(model: RobotModel) -> 
     with pytest.raises(QPError, match=r"short by .* against") as caught:
         walk()
     assert caught.value.short
-    assert set(caught.value.short) <= set(controller.phase.assembly.names)
+    assert set(caught.value.short) <= set(controller.phase.assembly.rows.names)

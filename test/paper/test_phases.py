@@ -111,10 +111,10 @@ def test_rows_of_single_support(foot):
 def test_row_names():
     limits = [f"joint_{end}/{joint}" for end in ("max", "min") for joint in legs().joint_names]
     inequalities = ["sliding", "tip_plane", "back_plane", "pelvis"]
-    assert list(double(LITERAL, Foot.LEFT).assembly.names) == ["ground", *inequalities, *limits]
+    assert list(double(LITERAL, Foot.LEFT).assembly.rows.names) == ["ground", *inequalities, *limits]
     flat = ["ground", "flat_pitch", "flat_roll"]
-    assert list(double(FLAT, Foot.LEFT).assembly.names) == [*flat, *inequalities, *limits]
-    assert list(single(FLAT, Foot.LEFT)[0].assembly.names) == ["com_cylinder", "pelvis", *limits]
+    assert list(double(FLAT, Foot.LEFT).assembly.rows.names) == [*flat, *inequalities, *limits]
+    assert list(single(FLAT, Foot.LEFT)[0].assembly.rows.names) == ["com_cylinder", "pelvis", *limits]
 
 
 def test_the_posture_task_is_optional():

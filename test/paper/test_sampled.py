@@ -1,6 +1,6 @@
 """The vector-field inequality in sampled time: what one period does to each distance, at random states.
 
-The curvature that a row is granted is that of a point over a fixed plane (`constraints.sampled`). A wall, (U9) or
+The curvature that a row is granted is that of a point over a fixed plane (`rows.sampled`). A wall, (U9) or
 (U10), contains a point of the sliding foot, and curves more: commands that use all that the rows allow show it.
 """
 
@@ -18,6 +18,7 @@ from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.problem import Problem
+from dqwalk_ros.paper.rows import least_after
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import QPError
 from dqwalk_ros.walks.table import make_walk
@@ -41,7 +42,7 @@ WALLS = ("tip_plane", "back_plane")
 def test_a_period_brings_no_distance_nearer_to_its_bound_than_eta_and_the_curvature_allow(
     name: str, params: list[str], count: int, *, of_walk: bool
 ) -> None:
-    """Whatever the state is in which the bounds are kept (`Assembly.after`), with R the height of the CoM.
+    """Whatever the state is in which the bounds are kept (`rows.least_after`), with R the height of the CoM.
 
     The command is that of the walk, or any other one that the rows allow; then a wall gets three times the curvature.
     """
@@ -58,18 +59,19 @@ def test_a_period_brings_no_distance_nearer_to_its_bound_than_eta_and_the_curvat
     while kept < count:
         phase = phases[rng.integers(len(phases))]
         q = walk.posture + rng.uniform(0.0, 0.3) * rng.uniform(-1.0, 1.0, model.n)
-        now, rows = phase.evaluate(q, dt=dt, velocity=fastest), phase.assembly.equality_rows
-        if (now.margins[rows:] < 0.0).any():
+        now, rows = phase.evaluate(q, dt=dt, velocity=fastest), phase.assembly.rows
+        if (now.margins[rows.equalities :] < 0.0).any():
             continue
         of = now.problem
         H, c = (of.H, of.c) if of_walk else (np.eye(model.n), rng.normal(0.0, 10.0, model.n))
         try:  # the inequalities alone: random soles are not on the ground
-            u = solver.solve(Problem.of(H, c, of.G, of.h, of.lower, of.upper, names=of.names[rows:])).u
+            u = solver.solve(Problem.of(H, c, of.G, of.h, of.lower, of.upper, names=of.names[rows.equalities :])).u
         except QPError:
             continue
         kept += 1
-        after = phase.evaluate(q + dt * u).margins - phase.assembly.after(now.margins, q, q + dt * u, dt, dt)
+        turned = np.abs(dt * u).sum()
+        least = least_after(now.margins, rows.numbers, rows.near, rows.radius, turned, dt, dt)
+        left = phase.evaluate(q + dt * u).margins - least
         if not of_walk:
-            wall = np.isin(phase.assembly.names, WALLS)
-            after += wall * phase.assembly.radius * np.abs(dt * u).sum() ** 2
-        assert (after[rows:] >= -1e-12).all(), phase.assembly.names[rows + after[rows:].argmin()]
+            left += np.isin(rows.names, WALLS) * rows.radius * turned**2
+        assert (left[rows.equalities :] >= -1e-12).all(), rows.names[rows.equalities + left[rows.equalities :].argmin()]

@@ -104,7 +104,7 @@ def segments(trace: Trace) -> Iterator[Segment]:
             error.append(now.error)
             margins.append(now.margins)
         rows = (*phase.equalities, *phase.constraints)
-        arrays = {row.name: np.array(margins)[:, phase.assembly.spans[row.name]] for row in rows}
+        arrays = {row.name: np.array(margins)[:, phase.assembly.rows.spans[row.name]] for row in rows}
         yield Segment(
             phase=phase,
             ticks=ticks,
