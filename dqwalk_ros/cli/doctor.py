@@ -8,7 +8,16 @@ from pathlib import Path
 
 import click
 
-from dqwalk_ros.cli.options import Real, command, config_of, config_option, params_option, plant_option, set_option
+from dqwalk_ros.cli.options import (
+    Place,
+    Real,
+    command,
+    config_of,
+    config_option,
+    params_option,
+    plant_option,
+    set_option,
+)
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
@@ -30,6 +39,7 @@ examples:
   dqwalk doctor --plant ros2_control --config my_robot.yaml
   dqwalk doctor --plant poppy --params identified.yaml     with the parameters of `dqwalk identify`
   dqwalk doctor --plant poppy --by-hand                    torque off: is each joint the one of the model, and its sign?
+  dqwalk doctor --offline --plant ros2_control --config my_robot.yaml --controllers controllers.yaml
   dqwalk doctor --offline                                  the configuration and its robot only
 """)
 @config_option("poppy")
@@ -43,7 +53,9 @@ examples:
     is_flag=True,
     help="Name each joint that you move, and where it moved by the model, for up to five minutes.",
 )
-@click.option("--offline", is_flag=True, help="Check the configuration only.")  # fmt: skip
+@click.option("--controllers", metavar="FILE", type=Place(), default=None,
+              help="Parameter file of the robot's controller_manager, to be compared.")  # fmt: skip
+@click.option("--offline", is_flag=True, help="Check the configuration only.")
 @set_option
 def doctor(
     config: str,
@@ -52,6 +64,7 @@ def doctor(
     seconds: float,
     namespace: str,
     by_hand: bool,
+    controllers: Path | None,
     offline: bool,
     changes: tuple[str, ...],
 ) -> int:
@@ -61,15 +74,18 @@ def doctor(
     what to do. docs/hardware.md leads from a boxed robot to a first step. Exit code 1 if a check failed.
     """
     from dqwalk_ros.adopt.check import check, require_usable
+    from dqwalk_ros.plants.robot_output import differences
     from dqwalk_ros.plants.table import require_accepted
     from dqwalk_ros.robot.model import load_model
 
     made = config_of(config, changes, plant=plant, params=params)
     model = load_model(made.robot)
-    findings = check(made, model)
+    findings: list[object] = [*check(made, model)]
     if not findings:
         require_usable(made, model)
         require_accepted(plant, made, model)
+    if controllers is not None:
+        findings += differences(made, model, controllers)
     print(f"{model.name}: {model.n} joints, configuration '{config}', plant {plant}")
     for finding in findings:
         print(f"! {'configuration':22s} {finding}")

@@ -24,7 +24,7 @@ from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.command_input import CommandInput
 from dqwalk_ros.nodes.robot_controllers import RobotControllers
 from dqwalk_ros.nodes.safety import ClockSteps
-from dqwalk_ros.plants.robot_output import commanded_joints
+from dqwalk_ros.plants.robot_output import commanded_joints, output_topic
 from dqwalk_ros.plants.servo_goals import JUMPS, ServoGoals
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import load_model
@@ -32,14 +32,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.topics import VELOCITY
 
-_TOPICS = {
-    ("float64_multi_array", "velocity"): "forward_velocity_controller/commands",
-    ("float64_multi_array", "position"): "forward_position_controller/commands",
-    ("joint_trajectory", "position"): "joint_trajectory_controller/joint_trajectory",
-    ("joint_state", "velocity"): "joint_commands",
-    ("joint_state", "position"): "joint_commands",
-}
-"""Default topics of ros2_control's controllers and of its joint_state_topic_hardware_interface."""
 _TYPES = {
     "float64_multi_array": Float64MultiArray,
     "joint_trajectory": JointTrajectory,
@@ -105,8 +97,7 @@ class RobotDrive(WalkNode):
         o, own = config.output, self._model.joint_names
         self._joints = commanded_joints(config, self._model)
         self._own = np.array([self._joints.index(name) for name in own])  # the joints of the walk among them
-        topic = o.topic or _TOPICS[o.type, o.interface]
-        self._output = self.create_publisher(_TYPES[o.type], topic, 1)
+        self._output = self.create_publisher(_TYPES[o.type], output_topic(config), 1)
         self._commands = CommandInput(self, self._model)
         self._commands.unable = "starting"
         self._reader = ros.JointReader(self._joints)

@@ -14,6 +14,7 @@ from rclpy.task import Future
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.safety import Clock, DuplicatePublishers
+from dqwalk_ros.plants.robot_output import misunderstood
 
 _CHECK = 0.25
 """Period of the check for duplicate publishers [s]."""
@@ -118,16 +119,10 @@ class RobotControllers:
         one.left.discard(parameter)
         values = [[*value.string_array_value, value.string_value] for value in result.values]
         found, expected = tuple(text for texts in values for text in texts if text), self._expected[parameter]
-        if not found or found == expected:
-            one.confirmed |= found == expected
-            return
-        if parameter == "joints":
-            what = "in another order" if set(found) == set(expected) else "others than output.joints"
-            text = f"{one.name} has its joints {what}: set output.joints to [{', '.join(found)}]"
-        else:
-            text = f"{one.name} takes {found[0]}, not {expected[0]}: set output.interface to that of output.topic"
-        self.wrong[one.name] = text
-        self._node.get_logger().error(text)
+        one.confirmed |= found == expected
+        if found and (text := misunderstood(one.name, parameter, found, expected)):
+            self.wrong[one.name] = text
+            self._node.get_logger().error(text)
 
 
 class _Controller:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -39,6 +40,7 @@ MODEL = load_model(CONFIG.robot)
 POSTURE = MODEL.posture(CONFIG.standing.posture)
 UPRIGHT = Inertial(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([0.0, 0.0, 9.81]))
 EPOCH = 1_700_000_000.0
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def robot(
@@ -158,6 +160,43 @@ def test_what_the_node_of_a_robot_would_refuse_is_found_without_the_robot(
     changes = [word for one in change.split("; ") for word in ("--set", one)]
     assert main(["doctor", "--offline", "--plant", plant, *changes]) == 2
     assert reason in capsys.readouterr().err
+
+
+SHIPPED = ROOT / "config/ros2_control/controllers.yaml"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("", "", ""),
+        (
+            "l_hip_x, l_hip_z,",
+            "l_hip_z, l_hip_x,",
+            "has its joints in another order: set output.joints to [l_hip_z, l_hip_x",
+        ),
+        ("r_ankle_y, abs_y,", "r_ankle_y,", "forward_position_controller lacks abs_y of output.joints"),
+        ("interface_name: position", "interface_name: velocity", "takes velocity, not position"),
+        ("update_rate: 200", "update_rate: 100", "updates at 100 Hz, and dt is 0.005: set it to 0.01"),
+        ("frame_id: pelvis", "frame_id: imu_link", "in the frame 'imu_link', and robot.imu is 'pelvis'"),
+        (
+            "/**/forward_position_controller:",
+            "/**/legs:",
+            "no 'forward_position_controller', whose topic is output.topic",
+        ),
+        ("update_rate: 200", "update_rate: {", "not YAML"),
+    ],
+)
+def test_the_parameters_of_the_controllers_are_compared(
+    old: str, new: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before the robot is there; `drive` asks the controllers themselves."""
+    file = tmp_path / "controllers.yaml"
+    file.write_text(SHIPPED.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    words = ["doctor", "--offline", "--plant", "ros2_control", "--controllers", str(file)]
+    assert main(words) == (2 if expected == "not YAML" else int(bool(expected)))
+    said = capsys.readouterr()
+    assert expected in said.out + said.err
+    assert ("fits the robot" in said.out) == (not expected)
 
 
 def test_joints_that_are_moved_by_hand_are_named_with_the_direction_of_the_model() -> None:
