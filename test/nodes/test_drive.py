@@ -213,7 +213,7 @@ def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
         ({"joints": NAMES, "interface_name": "position"}, ""),
         ({"joints": NAMES[::-1]}, "/robot has its joints in another order: set output.joints to [bust_x, "),
         ({"joints": (*NAMES, "gripper")}, "/robot has more joints than output.joints: set output.joints to [l_hip_x, "),
-        ({"joints": NAMES[:5]}, "/robot lacks r_hip_x, r_hip_z, r_hip_y"),
+        ({"joints": NAMES[:5]}, "/robot lacks abs_x, abs_y, abs_z"),
         ({"joints": NAMES, "interface_name": "velocity"}, "/robot takes velocity, not position: set output.interface"),
         ({}, ""),
     ],
