@@ -222,7 +222,7 @@ def test_a_controller_that_would_misunderstand_its_commands_gets_none(make: Any,
     """A Float64MultiArray has neither names nor units. Until the controller has answered, nobody is sent anything."""
     driven = Driven(make, asks=True)
     one = driven.one
-    others = [one.foreign_node(name) for name in ("listener", "robot")]
+    others = [one.beside(name) for name in ("listener", "robot")]
     for node in others:
         node.create_subscription(Float64MultiArray, TOPIC["position"], lambda _: None, 1)
     for name, value in parameters.items():
@@ -257,7 +257,7 @@ def test_a_controller_that_would_misunderstand_its_commands_gets_none(make: Any,
 def test_a_second_node_that_commands_the_robot_stops_it(make: Any) -> None:
     """Such as another drive, or sliders: the robot would jump from the goals of one to those of the other."""
     driven = Driven(make, asks=True, output__type="joint_state", output__topic="joint_commands")
-    robot, sliders = (driven.one.foreign_node(name) for name in ("robot", "sliders"))
+    robot, sliders = (driven.one.beside(name) for name in ("robot", "sliders"))
     robot.create_subscription(JointState, "joint_commands", lambda _: None, 1)
     until(lambda: driven.tick(0.1) or driven.sent)
     other = sliders.create_publisher(JointState, "joint_commands", 1)
@@ -283,7 +283,7 @@ def test_a_drive_that_ends_is_not_ready(make: Any) -> None:
 def test_a_controller_that_is_loaded_again_is_asked_again(make: Any) -> None:
     """It may have another order now; meanwhile a listener remains, which is no controller."""
     driven = Driven(make, asks=True)
-    made = [driven.one.foreign_node(name) for name in ("listener", "robot", "again")]
+    made = [driven.one.beside(name) for name in ("listener", "robot", "again")]
     made[1].declare_parameter("joints", list(NAMES))
     made[2].declare_parameter("joints", list(NAMES[::-1]))
     executors = [SingleThreadedExecutor(context=node.context) for node in (*made, driven.node)]
