@@ -50,7 +50,7 @@ def test_spans_match_the_recorded_phases(trace, series):
 
 
 def test_series_match_the_phase_at_each_tick(trace, series):
-    """The series against `Phase.distances` and `Phase.error`."""
+    """The series against `Phase.distances` and `Evaluation.error`."""
     rng = np.random.default_rng(5)
     for span in series.spans:
         for tick in (span.start, *rng.integers(span.start, span.end, 30), span.end - 1):
