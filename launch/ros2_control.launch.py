@@ -41,7 +41,7 @@ ARGUMENTS = {
 def nodes(given: dict[str, str]) -> list[object]:
     space, time = given["namespace"], {"use_sim_time": given["use_sim_time"] == "true"}
     arguments = {name: given[name] for name in ("plugin", "mujoco_model")}
-    urdf, _ = expanded(find_share("urdf", "poppy.ros2_control.urdf.xacro"), arguments=arguments)
+    urdf = expanded(find_share("urdf", "poppy.ros2_control.urdf.xacro"), arguments=arguments).text
     package = given["plugin"].partition("/")[0]
     # mujoco_ros2_control and Gazebo have their own controller manager
     manager = {"mujoco_ros2_control": "mujoco_ros2_control", "gz_ros2_control": ""}.get(package, "controller_manager")

@@ -14,7 +14,7 @@ import pathlib
 import re
 import urllib.parse
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 from xml.dom import minidom
 
 from dqwalk_ros.support.errors import ModelError
@@ -25,6 +25,10 @@ _EAST_ASIAN = ("gb2312", "gbk", "gb18030", "big5", "shift_jis", "euc-jp", "euc-k
 """Encodings of text that the XML parser does not know."""
 _OLD = "property", "macro", "include", "if", "unless", "insert_block"
 """Elements that xacro knew without its prefix before ROS Kinetic, as it did macros."""
+_ARGUMENT = re.compile(r"\$\(arg\s+(\w+)\s*\)")
+"""The name of an argument that a xacro file uses."""
+_UNDEFINED = re.compile(r"Undefined substitution argument (\w+)")
+"""The error of xacro for an argument that has no value."""
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 """The name of a package in its package.xml."""
 _ABOVE = 6
@@ -50,13 +54,22 @@ def decoded(content: bytes) -> bytes | str:
     return content
 
 
+class Expansion(NamedTuple):
+    """The URDF of a xacro file, files that it includes and that are left out, and arguments that are taken as false."""
+
+    text: bytes
+    lost: list[str]
+    assumed: list[str]
+
+
 def expanded(
     path: pathlib.Path, places: Sequence[str | os.PathLike[str]] = (), arguments: Mapping[str, str] | None = None
-) -> tuple[bytes, list[str]]:
-    """Return the URDF of a xacro file, and the files that it includes and that are not found; these are left out.
+) -> Expansion:
+    """Return the URDF of a xacro file; `arguments` are the values of its xacro arguments.
 
-    They often have only colours, plugins of a simulator, or transmissions. `arguments` are the values of its xacro
-    arguments. ROS packages are also searched in the folders `places`, first. Files for old versions of xacro are read.
+    Files that it includes and that are not found are left out: they often have only colours, plugins of a simulator, or
+    transmissions. An argument without a value that only conditions use, such as DEBUG of a launch file, is false. ROS
+    packages are also searched in the folders `places`, first. Files for old versions of xacro are read.
 
     Raises
     ------
@@ -72,8 +85,8 @@ def expanded(
             f"'{path}' is a xacro file: pip install xacro, or expand it (xacro {path.name} > robot.urdf)"
         ) from error
     originals = substitution_args._eval_find, xacro.parse
-    missing, lost = list[str](), list[str]()
-    old = _Old()
+    missing, lost, assumed = list[str](), list[str](), list[str]()
+    old, conditions = _Old(), dict[str, bool]()  # whether an argument is only that of conditions
 
     def find(package: str) -> str:
         folder = _package(package, path, places)
@@ -92,21 +105,33 @@ def expanded(
             content = content if isinstance(content, str) else io.BytesIO(content)
         document = originals[1](content, filename)
         old.add_prefixes(document)
+        for element in document.getElementsByTagName("*"):
+            for name in _ARGUMENT.findall(" ".join(value for _, value in element.attributes.items())):
+                conditions[name] = conditions.get(name, True) and element.tagName in ("xacro:if", "xacro:unless")
         return document
 
-    def process() -> str:
+    def process(given: dict[str, str]) -> str:
         missing.clear()
         lost.clear()
-        return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml())
+        assumed[:] = [name for name in given if name not in (arguments or {})]
+        try:
+            return str(xacro.process_file(str(path), mappings=dict(given)).toxml())
+        except Exception as error:
+            undefined = _UNDEFINED.search(str(error))
+            if not undefined or undefined[1] in given or not conditions.get(undefined[1]):
+                raise
+            return process({**given, undefined[1]: "false"})
 
     substitution_args._eval_find, xacro.parse = find, parse
     try:
+        given = dict(arguments or {})
         try:
-            text = process()
+            text = process(given)
         except Exception:
             if not old.found:
                 raise
-        return (process() if old.found else text).encode(), lost  # calls of macros are known only now
+        text = process(given) if old.found else text  # calls of macros are known only now
+        return Expansion(text.encode(), lost, assumed)
     except (Exception, SystemExit) as error:  # xacro raises errors of its own, of XML parsing and of Python
         if missing or lost:
             raise ModelError(needed(path, (missing or lost)[0])) from error

@@ -151,9 +151,9 @@ class Urdf:
         except OSError as error:
             raise ModelError(f"cannot read '{path}': {error.strerror}") from error
         foreign = b"ros.org/wiki/xacro" in data[:4000] and _XACRO.search(data)
-        lost = list[str]()
+        lost, assumed = list[str](), list[str]()
         if path.suffix == ".xacro" or (foreign and _EXPANDED not in data[:4000]):
-            data, lost = expanded(path, packages, arguments or {})
+            data, lost, assumed = expanded(path, packages, arguments or {})
         elif arguments:
             raise ModelError(f"'{path}' is not a xacro file, so it has no argument '{next(iter(arguments))}'")
         try:
@@ -163,6 +163,9 @@ class Urdf:
                 raise
             raise ModelError(needed(path, lost[0])) from error
         urdf.repairs += [f"the file '{file}' that it includes is not found: left out" for file in lost]
+        urdf.repairs += [
+            f"the argument '{name}' has no value: false; or give it by --xacro {name}=true" for name in assumed
+        ]
         return urdf
 
     @property

@@ -1006,6 +1006,12 @@ def test_xacro_finds_packages_and_takes_arguments(tmp_path: Path) -> None:
     )
     with pytest.raises(ModelError, match=r"argument name; give it by --xacro NAME=VALUE"):
         Urdf.load(tmp_path / "undefined.xacro")
+    (tmp_path / "condition.xacro").write_text(
+        f'{head}<xacro:if value="$(arg DEBUG)"><link name="world"/></xacro:if><link name="a"/></robot>'
+    )
+    condition = Urdf.load(tmp_path / "condition.xacro")
+    assert list(condition.links) == ["a"]
+    assert condition.repairs == ["the argument 'DEBUG' has no value: false; or give it by --xacro DEBUG=true"]
     with pytest.raises(ModelError, match=r"needs the ROS package 'parts'.*--package-path"):
         Urdf.load(path)
     assert list(Urdf.load(path, [tmp_path / "src"], {"n": "b"}).links) == ["b"]

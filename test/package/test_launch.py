@@ -375,7 +375,7 @@ def test_rviz_shows_exactly_the_published_joints(start: Start) -> None:
 def test_the_ros2_control_description_matches_the_walking_robot() -> None:
     """All joints have both command interfaces; controllers list them in the order that the node drive uses."""
     config = load("poppy")
-    urdf = expanded(ROOT / "urdf" / "poppy.ros2_control.urdf.xacro", arguments={"plugin": "a/Plugin"})[0].decode()
+    urdf = expanded(ROOT / "urdf" / "poppy.ros2_control.urdf.xacro", arguments={"plugin": "a/Plugin"}).text.decode()
     assert parse_model(urdf, config.robot).joint_names == load_model(config.robot).joint_names
     root = ElementTree.fromstring(urdf)
     (component,) = root.iter("ros2_control")
