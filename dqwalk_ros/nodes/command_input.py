@@ -109,7 +109,7 @@ class CommandInput:
         self._publish_ready()
 
     def close(self) -> None:
-        """Say that no command is executed any more: otherwise the walk would fail without the plant."""
+        """Say that no command is executed any more, of a robot that stays where it is without this node."""
         self.unable = "shut down"
         self._publish_ready()
 

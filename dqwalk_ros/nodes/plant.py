@@ -137,7 +137,7 @@ class SimulatedPlant(WalkNode):
     def _on_period(self) -> None:
         now = self._now()
         passed, self._moved = max(now - self._moved, 0.0), now
-        if self.time_trouble() or not self._may_begin():
+        if not now or not self._may_begin():  # no node publishes the /clock of use_sim_time
             return
         if passed > 2.0 * self.dt:
             self._missed += int(passed / self.dt) - 1
@@ -163,10 +163,6 @@ class SimulatedPlant(WalkNode):
         self._published_at = self.steady()
         self.on_step(before)
         self.publish()
-
-    def close(self) -> None:
-        """Say that the plant does not move any more."""
-        self.commands.close()
 
     def _diagnose(self) -> None:
         level, text = self.commands.level()
@@ -331,7 +327,6 @@ class Physics(SimulatedPlant):
 
     def close(self) -> None:
         """Log the achieved rate and the delays of the ticks."""
-        super().close()
         if self.lockstep or len(self._late) < 2:
             return
         late = 1e3 * np.array(self._late)
