@@ -14,7 +14,7 @@ from launch_ros.parameter_descriptions import ParameterFile
 
 from dqwalk_ros.config import find_config, find_share
 from dqwalk_ros.nodes.launching import description, included
-from dqwalk_ros.robot.packages import expanded
+from dqwalk_ros.robot.xacro_file import expanded
 
 PLUGINS = [
     "mock_components/GenericSystem",

@@ -21,8 +21,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.robot.packages import expanded, needed
 from dqwalk_ros.robot.urdf_file import LARGEST, MOST_BYTES, elements, place
+from dqwalk_ros.robot.xacro_file import expanded, needed
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 from dqwalk_ros.support.interrupts import postponed_interrupts

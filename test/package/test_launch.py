@@ -16,7 +16,7 @@ from stand_in_launch import MODULES, Context, Launch, StandIn
 
 from dqwalk_ros.config import SHIPPED, Config, from_yaml, load
 from dqwalk_ros.robot.model import load_model, parse_model
-from dqwalk_ros.robot.packages import expanded
+from dqwalk_ros.robot.xacro_file import expanded
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.node_table import NODES
 
