@@ -290,8 +290,11 @@ def inertial_of(msg: Imu) -> tuple[Array, Array, Array | None]:
     r, w, a = msg.orientation, msg.angular_velocity, msg.linear_acceleration
     size = math.sqrt(r.w * r.w + r.x * r.x + r.y * r.y + r.z * r.z)
     gyro, acceleration = np.array([w.x, w.y, w.z]), np.array([a.x, a.y, a.z])
-    if not (abs(size - 1.0) < 1e-3 and np.isfinite(gyro).all()):
-        raise StateError(f"imu: not a unit quaternion (its norm is {size:g}), or not a finite angular velocity")
+    if not abs(size - 1.0) < 1e-3:
+        why = "" if size else ": it estimates no orientation"
+        raise StateError(f"imu: not a unit quaternion, its norm is {size:g}{why}")
+    if not np.isfinite(gyro).all():
+        raise StateError("imu: its angular velocity is not finite: {:g}, {:g}, {:g} rad/s".format(*gyro))
     known = msg.linear_acceleration_covariance[0] >= 0.0 and bool(np.isfinite(acceleration).all())
     return upward(r.w, r.x, r.y, r.z), gyro, acceleration if known else None
 

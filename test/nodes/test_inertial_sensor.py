@@ -68,13 +68,25 @@ def test_an_invalid_imu_message_is_refused(make: Any) -> None:
         (imu_at(0, frame="imu_link"), "it is in the frame 'imu_link', and robot.imu is 'imu'"),
         (imu_at(0, w=0.0), "unit quaternion"),
         (imu_at(0, x=float("nan")), "unit quaternion"),
-        (Imu(angular_velocity=Vector3(x=float("inf"))), "finite angular velocity"),
+        (Imu(angular_velocity=Vector3(x=float("inf"))), "angular velocity is not finite"),
         (Imu(orientation_covariance=[-1.0] + [0.0] * 8), "no orientation"),
         (Imu(angular_velocity_covariance=[-1.0] + [0.0] * 8), "no angular velocity"),
     ):
         one.send("imu", bad)
         with pytest.raises(StateError, match=why):
             sensor.join(*state_at(0))
+
+
+def test_the_error_of_an_imu_message_names_what_is_wrong() -> None:
+    """A sensor without a fusion publishes a quaternion of zeros."""
+    with pytest.raises(StateError, match="its norm is 0: it estimates no orientation"):
+        ros.inertial_of(imu_at(0, w=0.0))
+    with pytest.raises(StateError, match=r"its norm is 1\.01$"):
+        ros.inertial_of(imu_at(0, w=1.01))
+    msg = imu_at(0)
+    msg.angular_velocity.y = float("nan")
+    with pytest.raises(StateError, match=r"^imu: its angular velocity is not finite: 0, nan, 0 rad/s$"):
+        ros.inertial_of(msg)
 
 
 @pytest.mark.parametrize("frame", ["", "imu", "/imu", "robot1/imu", "a/b/imu"])
