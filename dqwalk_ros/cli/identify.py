@@ -16,6 +16,9 @@ from dqwalk_ros.support.output import refuse_existing, refuse_inside, write_text
 if TYPE_CHECKING:
     from dqwalk_ros.identification.fit import Identified
 
+_UNLIKE = 0.5
+"""Rms error above which the motion is not that of a servo [deg]: replays of servos drawn at random are within 0.1."""
+
 
 @command("""
 prints of each servo, with standard deviations:
@@ -70,7 +73,13 @@ def identify(bag: Path, mass: float | None, out: Path | None, force: bool, quiet
         print(table(found))
         of, params = shlex.quote(str(bag)), shlex.join(["--params", str(out)])
         print(f"wrote {out}; dqwalk replay {of} {params} compares, dqwalk simulate {params} uses it")
-    return 1 if found.missing else 0
+    return 1 if found.missing or unexplained(found) else 0
+
+
+def unexplained(found: Identified) -> list[str]:
+    """Return the joints whose recorded motion the model of a servo does not explain."""
+    off = {name: math.degrees(rms) for name, rms in zip(found.joints, found.rms, strict=True)}
+    return [name for name in found.joints if name not in found.missing and off[name] > _UNLIKE]
 
 
 def table(found: Identified) -> str:
@@ -102,4 +111,9 @@ def table(found: Identified) -> str:
         parts.append(f"inertial sensor: roll {roll:+.2f}, pitch {pitch:+.2f} degrees, including its own error of the "
                      "vertical; yaw is not observable while the robot is level")  # fmt: skip
     parts += [f"NOT FOUND: {name}: {why}" for name, why in found.missing.items()]
+    if unlike := unexplained(found):
+        parts.append(
+            f"NOT EXPLAINED: {', '.join(unlike)}: no servo moves like that, within {_UNLIKE:g} degrees (rms); was the "
+            "pelvis clamped and level, did the limbs hang free, and is the mass right? poppy.dummy has no gravity"
+        )
     return "\n\n".join(parts)

@@ -11,7 +11,7 @@ import pytest
 
 import dqwalk_ros as dq
 from dqwalk_ros import cli
-from dqwalk_ros.cli.identify import table
+from dqwalk_ros.cli.identify import table, unexplained
 from dqwalk_ros.config import Config, from_yaml, overlaid, with_files
 from dqwalk_ros.identification import fit
 from dqwalk_ros.identification.exercise import exercise_config, path_of
@@ -254,3 +254,12 @@ def test_five_minutes_identify_the_servos_of_a_random_poppy(seed: int) -> None:
     print(f"{good.all(axis=1).sum()} of {model.n}; replay {mean:.3f} degrees rms, {rms.max():.3f} at most", flush=True)
     assert good.all(axis=1).sum() >= 23
     assert rms.max() <= 1.5
+
+
+def test_joints_that_do_not_move_like_servos_are_named() -> None:
+    """Such as those of a robot that is not clamped: their parameters mean nothing, and a walk would use them."""
+    n = len(joints := ("l_hip_y", "l_knee_y", "l_ankle_y"))
+    rms = np.radians([0.09, 1.4, np.nan])
+    found = fit.Identified(joints, np.ones((n, 5)), np.ones((n, 5)), rms, {"l_ankle_y": "it did not move"}, None)
+    assert unexplained(found) == ["l_knee_y"]
+    assert "NOT EXPLAINED: l_knee_y: no servo moves like that, within 0.5 degrees" in table(found)
