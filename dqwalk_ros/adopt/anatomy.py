@@ -39,6 +39,8 @@ _LATERAL = 0.5
 """Least lateral component of the axis of a knee with which the leg steps forward."""
 _SAME = 1e-3
 """Largest distance of joints at one place, as a fraction of the height of a leg."""
+_FASTEST = 50.0
+"""Velocity limit of a leg above which it has another unit or is none [rad/s]; that of fast legs is 20 to 40."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
 _DISTANCES = 1.0, 0.87, 0.75, 0.62, 0.5, 0.4, 1.15, 1.3, 1.5, 1.75
@@ -234,6 +236,7 @@ def _evidence(skeleton: Skeleton, found: Anatomy, chosen: str, ahead: Sequence[E
             "without torque limit", _without_torque_limit(skeleton, legs), "other joints of the legs have one", "guess"
         ),
         Entry("limits of the legs", _unlike_limits(skeleton, legs), "an axis or a limit is wrong", "guess"),
+        Entry("velocity of the legs", _too_fast(skeleton, legs), "no servo is so fast: degrees/s, or rpm?", "guess"),
         Entry("the legs can", " and ".join(does) or "only bend", "rank of their axes with bent knees"),
         *(Entry(f"{foot.value} sole", str(s), s.source, s.confidence) for foot, s in found.soles.items()),
         Entry("toes", " ".join(toes), "joints carried by the ankles: locked", "likely"),
@@ -358,6 +361,12 @@ def _without_torque_limit(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]])
     joints = [name for names in legs.values() for name in names]
     free = [name for name in joints if math.isinf(skeleton.joints[name].limit.effort)]
     return ", ".join(free) if len(free) < len(joints) else ""
+
+
+def _too_fast(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:
+    """Return the least velocity limit of the legs if no servo has it; empty if one does, or if there is none."""
+    least = min(skeleton.joints[name].limit.velocity for names in legs.values() for name in names)
+    return f"{least:g} rad/s at least" if _FASTEST < least < math.inf else ""
 
 
 def _unlike_limits(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> str:

@@ -887,6 +887,8 @@ def test_joints_of_the_legs_without_torque_limit_or_that_slide_are_said(tmp_path
         return next((e.value for e in anatomy_of(read(tmp_path, *changes)).evidence if e.what == what), "")
 
     assert said("without torque limit", (r'(name="l_knee".*?effort=)"[^"]*"', r'\1"0"')) == "l_knee"
+    assert said("velocity of the legs", (r'velocity="[^"]*"', 'velocity="360"')) == "360 rad/s at least"
+    assert not said("velocity of the legs", (r'velocity="[^"]*"', 'velocity="0"'))
     slide = '<link name="{0}_rail"/><joint name="{0}_slide" type="prismatic"><parent link="{0}_shank"/>'
     slide += '<child link="{0}_rail"/><limit lower="-0.1" upper="0.1"/></joint>'
     rails = ("</robot>", slide.format("l") + slide.format("r") + "</robot>")
