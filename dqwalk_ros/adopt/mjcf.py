@@ -36,6 +36,8 @@ _WEIGHTLESS = re.compile(r"mass and inertia of moving bodies must be larger.*Ele
 """What MuJoCo says of a moving body without mass or inertia; its name."""
 _LEAST_MASS = 1e-5, 1e-9
 """Mass [kg] and moment of inertia [kg m^2] of a moving body without."""
+_TURNS = {"quat", "axisangle", "xyaxes", "zaxis", "euler"}
+"""Attributes of an orientation."""
 _SETTINGS = {
     "compiler",
     "flag",
@@ -153,11 +155,16 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
         except (ValueError, RuntimeError, OSError) as error:
             text = " ".join(str(error).split())
             unknown, unread = _UNKNOWN.search(text), _NUMBERS.search(text)
-            found = unknown or unread
-            if root is None and (found or "Element 'include'" in text):
+            found, twice = unknown or unread, "at most one of 'fullinertia'" in text
+            if root is None and (found or twice or "Element 'include'" in text):
                 root = _with_includes(path, repairs)
-                if not found:
+                if not (found or twice):
                     continue
+            if twice and root is not None and _without_turns(root):
+                repairs.append(
+                    "<inertial> has an orientation beside 'fullinertia', as older versions ignored: left out"
+                )
+                continue
             named = [] if root is None or not found else [e for e in root.iter(found[2]) if found[1] in e.attrib]
             if unread and (named := [e for e in named if "," in e.attrib[unread[1]]]):
                 for element in named:
@@ -169,6 +176,15 @@ def _spec(path: pathlib.Path) -> tuple[Any, list[str]]:
             for element in named:
                 del element.attrib[unknown[1]]
             repairs.append(f"<{unknown[2]}> has the attribute '{unknown[1]}' of another version of MuJoCo: left out")
+
+
+def _without_turns(root: ElementTree.Element) -> bool:
+    """Take the orientations from the elements <inertial> with all moments of inertia; return whether there were any."""
+    given = [one for one in root.iter("inertial") if "fullinertia" in one.attrib and _TURNS & one.attrib.keys()]
+    for element in given:
+        for key in _TURNS & element.attrib.keys():
+            del element.attrib[key]
+    return bool(given)
 
 
 def _with_includes(file: pathlib.Path, repairs: list[str], *within: pathlib.Path) -> ElementTree.Element:

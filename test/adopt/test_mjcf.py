@@ -231,6 +231,15 @@ def test_pictures_height_fields_and_settings_of_other_versions_are_not_needed(tm
     ]
 
 
+def test_an_orientation_beside_all_moments_of_inertia_is_left_out_as_older_versions_did(tmp_path: Path) -> None:
+    full = '<inertial pos="0 0 0.08" quat="0 1 0 0" mass="1.6" fullinertia="0.01 0.02 0.025 0 0 0.001"/>'
+    urdf, _ = load_mjcf(edited(tmp_path, (r"<freejoint/>", f"<freejoint/>{full}")))
+    trunk = urdf.links["trunk"].inertial
+    np.testing.assert_allclose(np.diag(trunk.inertia), [0.01, 0.02, 0.025], rtol=1e-6)
+    assert trunk.inertia[1, 2] == pytest.approx(0.001)
+    assert sum("beside 'fullinertia'" in text for text in urdf.repairs) == 1
+
+
 def test_numbers_with_commas_and_files_with_another_ending_are_read(tmp_path: Path) -> None:
     path = edited(tmp_path, (r'<body name="left_foot"', '<body name="left_foot" quat="1, 0, 0, 0"'))
     urdf, _ = load_mjcf(path.rename(tmp_path / "robot.mjcf"))
