@@ -13,13 +13,15 @@ from rclpy.publisher import Publisher
 from rclpy.task import Future
 
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.safety import Clock, DuplicatePublishers
+from dqwalk_ros.nodes.safety import UNKNOWN, Clock, DuplicatePublishers
 from dqwalk_ros.plants.robot_output import misunderstood
 
 _CHECK = 0.25
 """Period of the check for duplicate publishers [s]."""
 _PATIENCE = 1.0
-"""Time after which a node without a service for its parameters is trusted, and others are asked again [s]."""
+"""Time after which a node that has not answered is asked again [s]: an answer may be lost."""
+_TRUSTED = 3.0
+"""Time after which a node without a service for its parameters is trusted [s]; it may be on another machine."""
 
 
 class RobotControllers:
@@ -103,12 +105,14 @@ class RobotControllers:
         self._cleared = (self._cleared or asked) and (there or (bool(self._found) and not self._had_one))
 
     def _ask(self, one: _Controller) -> None:
+        if one.name.endswith(UNKNOWN):  # its node has not been discovered yet
+            return
         one.client = one.client or self._node.create_client(GetParameters, f"{one.name}/get_parameters")
         if not one.client.service_is_ready():
-            if self._clock() > one.since + _PATIENCE:
+            if self._clock() > one.since + _TRUSTED:
                 one.left.clear()
             return
-        one.next = self._clock() + _PATIENCE  # an answer may be lost
+        one.next = self._clock() + _PATIENCE
         for parameter in one.left:
             asked = one.client.call_async(GetParameters.Request(names=[parameter]))
             asked.add_done_callback(partial(self._on_answer, one, parameter))

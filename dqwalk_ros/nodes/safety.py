@@ -155,8 +155,8 @@ class ClockSteps:
         return self._count >= self.steps
 
 
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Name of a publisher's node, as rclpy reports it, until the node has been discovered."""
+UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""Name of a publisher's or subscriber's node, as rclpy reports it, until the node has been discovered."""
 
 
 class DuplicatePublishers:
@@ -175,7 +175,7 @@ class DuplicatePublishers:
 
     def judge(self, names: Sequence[str]) -> str:
         """Return the names of duplicate publishers, or ``""``; `names` has one entry per publisher."""
-        unknown = any(name.endswith(_UNKNOWN) for name in names)  # discovered, its node not yet
+        unknown = any(name.endswith(UNKNOWN) for name in names)  # discovered, its node not yet
         if len(set(names)) > 1 or (len(names) > 1 and unknown):
             return ", ".join(sorted(set(names)))
         if len(names) < 2:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import Config, load, overlaid
+from dqwalk_ros.nodes.safety import UNKNOWN
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
@@ -252,6 +254,23 @@ def test_a_controller_that_would_misunderstand_its_commands_gets_none(make: Any,
     assert wrong in driven.node._blind
     for executor in (listener, robot, own):
         executor.shutdown()
+
+
+@pytest.mark.parametrize(("name", "trusted"), [("robot", True), (UNKNOWN, False)])
+def test_only_a_known_controller_without_parameters_is_trusted(
+    make: Any, monkeypatch: pytest.MonkeyPatch, name: str, trusted: bool
+) -> None:
+    """Such as one of micro-ROS; a node whose name has not been discovered yet may have parameters."""
+    driven = Driven(make, asks=True)
+    end = SimpleNamespace(node_namespace="/", node_name=name, endpoint_gid=[1])
+    monkeypatch.setattr(driven.node, "get_subscriptions_info_by_topic", lambda _: [end])
+    monkeypatch.setattr(driven.node._output, "get_subscription_count", lambda: 1, raising=False)
+    for _ in range(round(2.5 / DT)):
+        driven.tick(0.1)
+    assert not driven.sent
+    for _ in range(round(1.0 / DT)):
+        driven.tick(0.1)
+    assert bool(driven.sent) == trusted
 
 
 def test_a_second_node_that_commands_the_robot_stops_it(make: Any) -> None:
