@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from functools import partial
 from pathlib import Path
@@ -98,10 +99,14 @@ def doctor(
     from dqwalk_ros.nodes.doctor import listen
 
     if by_hand:
-        print("move each joint by hand, one after the other; seen from the pelvis, the model says:", flush=True)
+        print(
+            "move each joint by hand, one after the other (Ctrl-C ends); the model says, seen from the pelvis:",
+            flush=True,
+        )
         moved = ByHand(model, partial(print, flush=True))
-        heard = listen(_BY_HAND, namespace, moved)
-        if not heard.states:
+        with contextlib.suppress(KeyboardInterrupt):
+            listen(_BY_HAND, namespace, moved)
+        if not moved.states:
             print("! no joint_states: start the driver, or the joint_state_broadcaster")
         print(f"! not moved: {', '.join(moved.left)}" if moved.left else "every joint was moved")
         print(

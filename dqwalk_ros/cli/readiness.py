@@ -308,17 +308,19 @@ class ByHand:
     ----------
     left : list of str
         Joints that have not been moved yet.
+    states : int
+        Number of states that were looked at.
     """
 
     def __init__(self, model: RobotModel, show: Callable[[str], None]) -> None:
         self._model, self._show = model, show
         self._reader = ros.JointReader(model.joint_names)
-        self._read, self._first = 0, np.zeros(0)
+        self.states, self._first = 0, np.zeros(0)
         self.left = list(model.joint_names)
 
     def __call__(self, heard: Heard) -> bool:
         """Look at the states that have arrived since the last time; return whether every joint has been moved."""
-        new, self._read = heard.states[self._read :], len(heard.states)
+        new, self.states = heard.states[self.states :], len(heard.states)
         for msg, _ in new:
             with contextlib.suppress(StateError):
                 q = self._reader.state(msg).q

@@ -219,6 +219,22 @@ def test_joints_that_are_moved_by_hand_are_named_with_the_direction_of_the_model
     assert not moved.left
 
 
+def test_what_was_not_moved_by_hand_is_listed_also_after_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: float, __: str, enough: Callable[[Heard], bool]) -> None:
+        q = POSTURE + 0.3 * (np.array(MODEL.joint_names) != "abs_z")
+        enough(robot())
+        enough(replace(robot(), states=[*robot().states, (state(MODEL.joint_names, q, EPOCH + 5.0), 0)]))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dqwalk_ros.nodes.doctor.listen", interrupted)
+    assert main(["doctor", "--by-hand"]) == 1
+    out = capsys.readouterr().out
+    assert "! not moved: abs_z\n" in out
+    assert "no joint_states" not in out
+
+
 @pytest.mark.parametrize("joint", MODEL.joint_names)
 def test_the_direction_of_a_joint_is_that_of_its_kinematics(joint: str) -> None:
     """What hangs on a joint of a leg moves as its sole does."""
