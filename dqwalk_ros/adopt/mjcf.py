@@ -265,7 +265,7 @@ class _Conversion:
         mj = self._mj
         root = self._root()
         inside = [body for body in range(1, mj.nbody) if mj.body_rootid[body] == root]
-        driven = {joint for joint in map(self._joint_of, range(mj.nu)) if joint is not None}
+        driven = {joint for joint in map(self._joint_of, range(mj.nu)) if joint is not None and self._has_axis(joint)}
         self._open_loops(set(inside), driven)
         for body in inside:
             self._add_body(body, root, driven)
@@ -402,14 +402,18 @@ class _Conversion:
     def _joint_name(self, joint: int) -> str:
         return str(self._mj.joint(joint).name or f"joint_{joint}")
 
-    def _usable(self, joint: int, driven: set[int]) -> bool:
+    def _has_axis(self, joint: int) -> bool:
+        """Return whether a joint turns about or slides along an axis."""
         types = self._mujoco.mjtJoint
-        kind, name = self._mj.jnt_type[joint], self._joint_name(joint)
+        return _is(self._mj.jnt_type[joint], types.mjJNT_HINGE, types.mjJNT_SLIDE)
+
+    def _usable(self, joint: int, driven: set[int]) -> bool:
+        name = self._joint_name(joint)
         led = any(
             _is(self._mj.eq_type[k], self._mujoco.mjtEq.mjEQ_JOINT) and self._mj.eq_obj1id[k] == joint
             for k in range(self._mj.neq)
         )
-        if not _is(kind, types.mjJNT_HINGE, types.mjJNT_SLIDE):
+        if not self._has_axis(joint):
             self.repairs.append(f"joint '{name}' is a ball or free joint: taken as fixed")
         elif joint in self._fixed:
             pass  # `_open_loops` says so

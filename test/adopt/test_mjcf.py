@@ -231,6 +231,15 @@ def test_pictures_height_fields_and_settings_of_other_versions_are_not_needed(tm
     ]
 
 
+def test_the_joints_of_a_robot_whose_actuators_turn_ball_joints_only_move(tmp_path: Path) -> None:
+    """Only beside a driven joint with an axis is one without actuator passive."""
+    neck = '<joint name="neck" type="ball" range="0 60"/>'
+    ball = f'<body name="head" pos="0 0 0.2">{neck}<geom type="sphere" size="0.03"/></body>'
+    motor = '<actuator><motor joint="neck" gear="1 0 0"/></actuator>'
+    urdf, _ = load_mjcf(edited(tmp_path, ("<freejoint/>", f"<freejoint/>{ball}"), ("<actuator>.*</actuator>", motor)))
+    assert sum(joint.type == "revolute" for joint in urdf.joints.values()) == 12
+
+
 def test_an_orientation_beside_all_moments_of_inertia_is_left_out_as_older_versions_did(tmp_path: Path) -> None:
     full = '<inertial pos="0 0 0.08" quat="0 1 0 0" mass="1.6" fullinertia="0.01 0.02 0.025 0 0 0.001"/>'
     urdf, _ = load_mjcf(edited(tmp_path, (r"<freejoint/>", f"<freejoint/>{full}")))
