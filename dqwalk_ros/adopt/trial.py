@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from dqwalk_ros.adopt import Adoption, changed, write_dynamic, write_yaml
+from dqwalk_ros.adopt.adoption import Adoption
+from dqwalk_ros.adopt.files import changed, write_dynamic, write_yaml
 from dqwalk_ros.adopt.parameters import HEAVY_LEGS, Numbers, assumed, climb_parameters, rounded
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.config import Config, load, overlaid

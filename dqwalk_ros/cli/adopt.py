@@ -151,14 +151,14 @@ def _values(arguments: tuple[str, ...]) -> dict[str, str]:
 
 def _print_found(found: Adoption) -> None:
     """Print repairs, the table of what was found, and the files."""
-    from dqwalk_ros.adopt import FILES, table
+    from dqwalk_ros.adopt.files import FILES
 
     out, repairs = found.folder, kinds(found.repairs)
     for repair in repairs[:_SHOWN]:
         print(f"repaired: {repair}")
     if len(repairs) < len(found.repairs) or len(repairs) > _SHOWN:
         print(f"all {len(found.repairs)} repairs are listed in {out / 'adopt.json'}")
-    print(table(found))
+    print(found.table())
     files = [out / name for name in sorted(FILES) if (out / name).exists()]
     print(f"wrote {', '.join(map(str, files))}; look at robot.png first")
 

@@ -18,9 +18,10 @@ import trimesh
 from robots import edited
 
 from dqwalk_ros import cli
-from dqwalk_ros.adopt import Adoption, adopt, trial, write_yaml
+from dqwalk_ros.adopt import Adoption, adopt, trial
 from dqwalk_ros.adopt.anatomy import find_anatomy
 from dqwalk_ros.adopt.check import check
+from dqwalk_ros.adopt.files import write_yaml
 from dqwalk_ros.adopt.parameters import climb_parameters
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.adopt.trial import Trial, cures, dynamic_walks, first_walks, legs_touching, too_much

@@ -17,7 +17,8 @@ import trimesh
 from robots import edited
 
 from dqwalk_ros import cli
-from dqwalk_ros.adopt import _mass_evidence, adopt, posture
+from dqwalk_ros.adopt import adopt, posture
+from dqwalk_ros.adopt.adoption import _mass_evidence
 from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.description import description_in
@@ -662,7 +663,8 @@ def test_what_keeps_a_robot_from_a_standing_walk_only_is_said(
     inwards: float, outwards: float, ankles: float, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The CoM would be 10 mm from the middle, and the first phase of the walk would not end."""
-    monkeypatch.setattr("dqwalk_ros.adopt.distances", lambda anatomy: distances(anatomy)[:3])  # wider it would walk
+    # wider it would walk
+    monkeypatch.setattr("dqwalk_ros.adopt.stance.distances", lambda anatomy: distances(anatomy)[:3])
     found = adopt(written(tmp_path, rolls(tmp_path, inwards, outwards, ankles)), tmp_path / "out")
     assert re.search(message, found.findings[0].message)
     assert load(tmp_path / "out" / "dynamic.yaml").gait.step_length > 0.03
