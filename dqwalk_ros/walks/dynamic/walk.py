@@ -10,24 +10,21 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.load import share_of
 from dqwalk_ros.paper.constraints import FrameHeld
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.features import CenterOfMass, CenterOfMassOnGround, Direction, JointAngles
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY, Soles
-from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
@@ -35,12 +32,14 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.com import com_and_xi, rates
 from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
+from dqwalk_ros.walks.dynamic.flight import Flight
 from dqwalk_ros.walks.dynamic.ground import Ground
 from dqwalk_ros.walks.dynamic.law import GROUNDED, MEMORY, Memory, Settings, answer, notice, torques
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
-from dqwalk_ros.walks.following import AtRest, Follow, FollowPose, Target
+from dqwalk_ros.walks.dynamic.upright import FOLLOWED, upright_tasks
+from dqwalk_ros.walks.following import AtRest, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
 from dqwalk_ros.walks.footsteps import Carried, stair_height
 from dqwalk_ros.walks.stepping import JOINT_RETURN, SteppingWalk
@@ -75,35 +74,11 @@ _CONFIRMED = 0.015
 """Time above the threshold after which a step is adjusted, to reject measurement noise; at least two states [s]."""
 _LONGEST_WAIT = 3.0
 """Time after the planned end of a double support from which on it is not extended further [s]."""
-_ALONG = 0.9
-"""Least part along x or y of the axis of a joint that rolls or pitches the trunk."""
 _SHIFT = 0.1
 """Part of the way between the soles by which the CoM is before their middle when a foot lands, and behind it when the
 other one lifts off."""
-_FOLLOWED = {"com": 2, "height": 1, "upright": 2}
-"""Number of coordinates of the targets that all phases have."""
 _GAP = 0.1
 """Time without a state after which the reference is reset to the measured state [s]."""
-
-
-@dataclass(eq=False)
-class _Flight:
-    """A single support whose landing may be adjusted.
-
-    `goal` is the planned landing position, `up` its height over the sole that stands, and `shift` its displacement [m];
-    `lost` is the number of consecutive states whose error exceeds the threshold, `most` the largest error that the
-    ankle cannot compensate, and `outwards` the largest one away from the swing foot [m].
-    """
-
-    rule: Timed
-    step: Step
-    swing: Swing
-    goal: Array
-    up: float
-    shift: Array = field(default_factory=lambda: np.zeros(2))
-    lost: int = 0
-    most: float = 0.0
-    outwards: float = 0.0
 
 
 class DynamicWalk(SteppingWalk):
@@ -139,22 +114,21 @@ class DynamicWalk(SteppingWalk):
         self._confirmed = max(round(_CONFIRMED / config.dt), 2)  # number of states
         self._force, self._measured = GRAVITY * Z, np.zeros((2, 2))  # c and xi at the last state
         self._commanded, self._u, self._acceleration = -math.inf, np.zeros(model.n), np.zeros(model.n)
-        kin = Kinematics(model, self.posture, self._first)
-        self._height = float(kin.com[2])  # of the CoM in the posture [m]
-        self._roll_joints, self._pitch_joints = _trunk(kin)
+        self._in_posture = Kinematics(model, self.posture, self._first)
+        self._height = float(self._in_posture.com[2])  # of the CoM in the posture [m]
         self._climb = 0.0, 0.0  # height of the CoM over that in the posture, when the phase begins and ends [m]
         self.pendulum: InvertedPendulum
         self._inertia: dict[Foot, Array]  # (n, n) of the swing leg with its rotors, for each base sole [kg m^2]
         self._ground: Ground
         self._reference: Reference
-        self._flight: _Flight | None = None
+        self._flight: Flight | None = None
         self._tipped: Array | None = None  # the least inclined vertical since a foot landed beside a tipped sole
         self._transfer = config.standing.transfer_duration  # planned duration of the current double support [s]
         self._pushed = self._pausing = False
         self._rests = False  # whether a stance has brought the CoM to rest
         self._descends = False  # whether the swing foot of the next single support is in the air already
         pose = Target(np.zeros(7), np.zeros(6))
-        self._targets = {"swing": pose, **{name: Target(np.zeros(k), np.zeros(k)) for name, k in _FOLLOWED.items()}}
+        self._targets = {"swing": pose, **{name: Target(np.zeros(k), np.zeros(k)) for name, k in FOLLOWED.items()}}
         # the first one of each kind and support foot, from which others differ in the targets, which are the walk's
         self._phases: dict[tuple[PhaseKind, Foot], Phase] = {}
         self._held_at: Array  # place of the other sole when a phase on both feet began (7,)
@@ -297,7 +271,8 @@ class DynamicWalk(SteppingWalk):
         held = self._held(kin)
         self._held_at = held.parameters.copy()
         if (kind, support) not in self._phases:
-            given = (kind, support, kin, None, self._upright(), (held,), ())
+            upright = upright_tasks(self.config.dynamic, self._in_posture, self._targets)
+            given = (kind, support, kin, None, upright, (held,), ())
             self._phases[kind, support] = self._phase(*given, rule=rule, joint_return=JOINT_RETURN)
         phase = self._phases[kind, support].again(kin, None, rule)
         _hold(phase, self._held_at)
@@ -312,8 +287,9 @@ class DynamicWalk(SteppingWalk):
         self._aim_over(self.model.soles[support].center[:2])
         target.set(np.array([*x.translation(), *swing_target[:4]]), 0.0)
         if (kind, support) not in self._phases:
+            upright = upright_tasks(self.config.dynamic, self._in_posture, self._targets)
             given = {"weight": s.swing_weight, "eta": s.swing_rate, "lever": s.lever}
-            tasks = (FollowPose(name="swing", frame=kin.swing, target=target, **given), *self._upright())
+            tasks = (FollowPose(name="swing", frame=kin.swing, target=target, **given), *upright)
             rows = (), (self._gap(support),)
             first = self._phase(kind, support, kin, swing_target, tasks, *rows, rule=rule, joint_return=JOINT_RETURN)
             self._phases[kind, support] = first
@@ -323,48 +299,6 @@ class DynamicWalk(SteppingWalk):
         """Set the targets with which a phase begins: the CoM over a `place` (2,) [m], everything at rest."""
         for name, value in (("com", place), ("height", self._height), ("upright", 0.0)):
             self._targets[name].set(value, 0.0)
-
-    def _upright(self) -> tuple[Task, ...]:
-        """Return the tasks of CoM and pelvis, and those that keep the trunk from turning against the pelvis.
-
-        A trunk that rolls moves the CoM sideways with little motion of the legs. While a push outwards is caught, it
-        would be thrown against the push and tip the sole further.
-        """
-        d, at = self.config.dynamic, self._targets
-        tasks: list[Task] = [
-            Follow(name="com", weight=d.com_weight, feature=CenterOfMassOnGround(), target=at["com"], eta=d.com_rate),
-            Follow(
-                name="height",
-                weight=d.height_weight,
-                feature=CenterOfMass(),
-                selects=Z[None],
-                target=at["height"],
-                eta=d.height_rate,
-            ),
-            Follow(
-                name="upright",
-                weight=d.upright_weight,
-                feature=Direction(self.model.pelvis, Z),
-                selects=np.eye(2, 3),
-                target=at["upright"],
-                eta=d.upright_rate,
-            ),
-        ]
-        held, eye = d.trunk_weight > 0.0, np.eye(self.model.n)
-        if held and len(joints := self._pitch_joints):
-            tasks.append(
-                Follow(
-                    name="trunk",
-                    weight=d.trunk_weight,
-                    feature=JointAngles(),
-                    selects=eye[joints],
-                    target=Target(self.posture[joints], np.zeros(len(joints))),
-                    eta=d.upright_rate,
-                )
-            )
-        if held and len(joints := self._roll_joints):
-            tasks.append(AtRest(name="trunk_roll", weight=d.trunk_weight, selects=eye[joints]))
-        return tuple(tasks)
 
     # ------------------------------------------------------------------ update for every state
 
@@ -446,7 +380,7 @@ class DynamicWalk(SteppingWalk):
             return 0.0
         return share_of(phase.base.other, state.loads)
 
-    def _adjust_step(self, flight: _Flight, phase: Phase, t: float) -> Change | None:
+    def _adjust_step(self, flight: Flight, phase: Phase, t: float) -> Change | None:
         """Adjust time and position of the landing to the measured xi, `t` [s] after lift-off.
 
         Return the change as soon as the landing can no longer be adjusted.
@@ -455,7 +389,7 @@ class DynamicWalk(SteppingWalk):
         if not d.catch or t < d.untouched:
             return None
         if t > rule.duration - d.settled:
-            return None if phase.decision or flight.lost < self._confirmed else self._landing(flight, phase)
+            return None if phase.decision or flight.lost < self._confirmed else flight.landing(phase)
         if flight.lost < self._confirmed:
             over, _ = left_over(step, xi, t, step.duration - t)
             flight.lost = flight.lost + 1 if max(map(abs, over.tolist())) > self._threshold else 0
@@ -495,7 +429,7 @@ class DynamicWalk(SteppingWalk):
             f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
         )
 
-    def _meets(self, flight: _Flight, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+    def _meets(self, flight: Flight, phase: Phase, kin: Kinematics, state: State) -> Change | None:
         """Let the swing foot land where it is if it has met an obstacle, or a step that is higher than planned.
 
         Return that as a change. After an obstacle commanded footsteps are dropped. With ``gait.climb``, and if the
@@ -520,7 +454,7 @@ class DynamicWalk(SteppingWalk):
             self._land_here(flight, phase, here)
         return stopped
 
-    def _land_here(self, flight: _Flight, phase: Phase, place: Array, height: float | None = None) -> None:
+    def _land_here(self, flight: Flight, phase: Phase, place: Array, height: float | None = None) -> None:
         """Let the swing foot land at `place` (>= 2,) [m], at which it is now; see `Swing.stop` for the `height`."""
         assert phase.swing_target is not None
         assert isinstance(self._reference, Pressed)
@@ -532,19 +466,6 @@ class DynamicWalk(SteppingWalk):
         flight.step = replace(flight.step, landing=landing, offset=end - landing, reach=np.zeros(2))
         self._reference = replace(self._reference, end=end)
         flight.goal, flight.shift = here, np.zeros(2)
-
-    @staticmethod
-    def _landing(flight: _Flight, phase: Phase) -> Change:
-        """Return the final landing position, and a text that explains it."""
-        late, ahead = flight.rule.duration - flight.step.duration, float(flight.shift[0])
-        when, where = "later" if late > 0.0 else "earlier", "forward" if ahead > 0.0 else "back"
-        text = (
-            f"the step lands {1e3 * abs(late):.0f} ms {when} and {1e3 * abs(ahead):.0f} mm further {where}: "
-            f"an error of {1e3 * flight.most:.0f} mm that the ankle cannot compensate"
-        )
-        assert phase.swing_target is not None
-        moved = DQ.from_pose([*flight.shift, 0.0]) * DQ(phase.swing_target)
-        return Change(text, moved.vec8())
 
     def _begin(self, phase: Phase, kin: Kinematics) -> None:
         """Plan a phase for the current poses of the feet, in the axes of the base sole of the phase."""
@@ -618,7 +539,7 @@ class DynamicWalk(SteppingWalk):
         swing = Swing(start, target, lift, whole, level, still)
         rule.begun = swing.begun
         # after an adjusted step, the next step is adjusted from its beginning
-        self._flight = _Flight(rule, step, swing, swing.goal, up, lost=self._confirmed if self._pushed else 0)
+        self._flight = Flight(rule, step, swing, swing.goal, up, lost=self._confirmed if self._pushed else 0)
         return reference
 
     def _plan(
@@ -680,17 +601,3 @@ def _hold(phase: Phase, place: Array) -> None:
     for held in phase.equalities:
         if isinstance(held, FrameHeld):
             held.hold(place)
-
-
-def _trunk(kin: Kinematics) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the joints that roll the trunk against the pelvis in the posture of `kin`, and those that pitch it.
-
-    They belong to neither legs nor arms; the trunk is the heaviest body beyond the pelvis.
-    """
-    model, tree = kin.model, kin.tree
-    pelvis, sole = (tree.frames[name].moves for name in (model.pelvis, kin.swing))
-    legs = pelvis | sole
-    mass = np.where((tree.moves & ~legs).any(axis=1), tree.links[:, 11], 0.0)
-    between = tree.moves[int(np.argmax(mass))] & ~legs
-    roll, pitch = (np.flatnonzero(between & (np.abs(kin.lines[:, axis]) > _ALONG)) for axis in (0, 1))
-    return roll, pitch
