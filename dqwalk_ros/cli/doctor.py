@@ -12,12 +12,9 @@ import click
 from dqwalk_ros.cli.options import (
     Place,
     Real,
+    Setup,
     command,
-    config_of,
-    config_option,
-    params_option,
-    plant_option,
-    set_option,
+    setup_options,
 )
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.ros_environment import check_ros_environment
@@ -43,9 +40,7 @@ examples:
   dqwalk doctor --offline --plant ros2_control --config my_robot.yaml --controllers controllers.yaml
   dqwalk doctor --offline                                  the configuration and its robot only
 """)
-@config_option("poppy")
-@params_option
-@plant_option(list(PLANTS), "poppy")
+@setup_options("poppy", list(PLANTS), "poppy")
 @click.option("--seconds", metavar="S", type=Real(0.5, 600.0), default=5.0, help="Time to listen [s].")
 @click.option("--namespace", metavar="NAME", default="", show_default=False, callback=_namespace,
               help="Namespace of the robot.")  # fmt: skip
@@ -57,17 +52,13 @@ examples:
 @click.option("--controllers", metavar="FILE", type=Place(), default=None,
               help="Parameter file of the robot's controller_manager, to be compared.")  # fmt: skip
 @click.option("--offline", is_flag=True, help="Check the configuration only.")
-@set_option
 def doctor(
-    config: str,
-    params: tuple[Path, ...],
-    plant: str,
+    setup: Setup,
     seconds: float,
     namespace: str,
     by_hand: bool,
     controllers: Path | None,
     offline: bool,
-    changes: tuple[str, ...],
 ) -> int:
     """Check a robot that stands, before its first step.
 
@@ -79,7 +70,7 @@ def doctor(
     from dqwalk_ros.plants.table import require_accepted
     from dqwalk_ros.robot.model import load_model
 
-    made = config_of(config, changes, plant=plant, params=params)
+    made, plant = setup.made(), setup.plant
     model = load_model(made.robot)
     findings: list[object] = [*check(made, model)]
     if not findings:
@@ -87,7 +78,7 @@ def doctor(
         require_accepted(plant, made, model)
     if controllers is not None:
         findings += differences(made, model, controllers)
-    print(f"{model.name}: {model.n} joints, configuration '{config}', plant {plant}")
+    print(f"{model.name}: {model.n} joints, configuration '{setup.config}', plant {plant}")
     for finding in findings:
         print(f"! {'configuration':22s} {finding}")
     if not findings:

@@ -9,16 +9,13 @@ from pathlib import Path
 import click
 
 from dqwalk_ros.cli.options import (
+    Setup,
     command,
-    config_of,
-    config_option,
     folder_option,
     force_option,
-    params_option,
     parse_overrides,
-    plant_option,
     quiet_option,
-    set_option,
+    setup_options,
 )
 from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.ros_environment import check_ros_environment
@@ -41,22 +38,16 @@ examples:
 then:
   dqwalk identify exercise/bag
 """)
-@config_option("poppy")
-@plant_option([*PHYSICS, "poppy"], "poppy_as_built")
+@setup_options("poppy", [*PHYSICS, "poppy"], "poppy_as_built")
 @click.option("--cycles", metavar="N", type=int, default=1, help="Exercise each joint N times.")
 @click.option("--ros", is_flag=True, help="Use ROS 2, as always for the real robot.")
-@params_option
-@set_option
 @folder_option("exercise")
 @force_option
 @quiet_option
 def exercise(
-    config: str,
-    plant: str,
+    setup: Setup,
     cycles: int,
     ros: bool,
-    params: tuple[Path, ...],
-    changes: tuple[str, ...],
     out: Path,
     force: bool,
     quiet: bool,
@@ -67,8 +58,8 @@ def exercise(
     from dqwalk_ros.identification.exercise import duration, exercise_config
     from dqwalk_ros.robot.model import load_model
 
-    made = exercise_config(config_of(config, changes, plant=plant, params=params), cycles)
-    made = made.updated(parse_overrides(changes), source="command line")
+    plant, made = setup.plant, exercise_config(setup.made(), cycles)
+    made = made.updated(parse_overrides(setup.changes), source="command line")
     if plant == "poppy":
         from dqwalk_ros.plants.poppy.motors import load_motors, typed
         from dqwalk_ros.robot.servos import load_types

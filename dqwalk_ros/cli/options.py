@@ -184,13 +184,11 @@ def walk_options(plants: Sequence[str]) -> Option:
     `plant`, and the texts of --cmd-vel as `course`.
     """
     options: list[Option] = [
-        config_option("paper"),
-        params_option,
+        setup_options("paper", plants, plants[0]),
         click.option(
             "--cycles", metavar="N", type=int, help="Cycles of four phases of the paper's walk (gait.cycles)."
         ),
         click.option("--first", type=click.Choice(["left", "right"]), help="First support foot (gait.first_support)."),
-        set_option,
         click.option(
             "--cmd-vel",
             "course",
@@ -198,23 +196,20 @@ def walk_options(plants: Sequence[str]) -> Option:
             multiple=True,
             help="Steer a standing or dynamic walk: ahead, left [m/s], turn [rad/s], duration [s]; may be repeated.",
         ),
-        plant_option(plants, plants[0]),
     ]
 
     def decorate(function: Function) -> Function:
         @functools.wraps(function)
-        def wrapped(*, config: str, changes: Any, params: Any, cycles: Any, first: Any, **rest: Any) -> Any:
+        def wrapped(*, setup: Setup, cycles: Any, first: Any, course: Any, **rest: Any) -> Any:
             also = {"gait.cycles": cycles, "gait.first_support": first}
-            plant, course = rest["plant"], rest["course"]
-            made = config_of(config, changes, plant=plant, params=params, course=course, also=also)
-            return function(config=made, **rest)
+            return function(config=setup.made(also, course), plant=setup.plant, course=course, **rest)
 
         return _with(options, wrapped)
 
     return decorate
 
 
-def _gathered(kind: type[Output], name: str, options: Sequence[Option]) -> Option:
+def _gathered(kind: type[Output | Setup], name: str, options: Sequence[Option]) -> Option:
     """Return a decorator that adds options, whose values the function gets as one object, the argument `name`."""
 
     def decorate(function: Function) -> Function:
@@ -226,6 +221,25 @@ def _gathered(kind: type[Output], name: str, options: Sequence[Option]) -> Optio
         return _with(options, wrapped)
 
     return decorate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """Names of a configuration and a plant, parameter files, and texts KEY=VALUE; see `config_of`."""
+
+    config: str
+    params: tuple[Path, ...]
+    plant: str
+    changes: tuple[str, ...]
+
+    def made(self, also: Mapping[str, Any] | None = None, course: Sequence[str] = ()) -> Config:
+        """Return the configuration, with `also` the values of other options that stand for a parameter."""
+        return config_of(self.config, self.changes, plant=self.plant, params=self.params, course=course, also=also)
+
+
+def setup_options(default: str, plants: Sequence[str], plant: str) -> Option:
+    """Return a decorator that adds the options of `Setup`, which the function gets as `setup`."""
+    return _gathered(Setup, "setup", [config_option(default), plant_option(plants, plant), params_option, set_option])
 
 
 @dataclass(frozen=True, kw_only=True)

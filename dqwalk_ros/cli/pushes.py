@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -13,13 +12,10 @@ import click
 from dqwalk_ros.cli.options import (
     Many,
     Real,
+    Setup,
     command,
-    config_of,
-    config_option,
     many_options,
-    params_option,
-    plant_option,
-    set_option,
+    setup_options,
 )
 from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.errors import ConfigError, listed
@@ -47,8 +43,7 @@ examples:
   dqwalk pushes --config poppy_dynamic --bottle 3          RoboCup: on the spot, from behind and in front
   dqwalk pushes --config poppy_dynamic --link chest --duration 0.03     an impact on the chest
 """)
-@config_option("poppy")
-@plant_option(PHYSICS, "physics")
+@setup_options("poppy", PHYSICS, "physics")
 @click.option(
     "--moment",
     type=click.Choice(["all", "standing", "left", "right"]),
@@ -84,11 +79,8 @@ examples:
     "Has its own directions and no --duration.",
 )
 @many_options("pushes")
-@params_option
-@set_option
 def pushes(
-    config: str,
-    plant: str,
+    setup: Setup,
     moment: str,
     directions: int,
     part: float,
@@ -97,8 +89,6 @@ def pushes(
     tolerance: float | None,
     bottle: float | None,
     many: Many,
-    params: tuple[Path, ...],
-    changes: tuple[str, ...],
 ) -> int:
     """Find the largest push the robot survives.
 
@@ -115,8 +105,8 @@ def pushes(
     from dqwalk_ros.walks.table import walk_type
 
     if bottle:  # on the spot, unless the steps are given
-        changes = ("gait.step_length=0", *changes)
-    made = config_of(config, changes, plant=plant, params=params)
+        setup = replace(setup, changes=("gait.step_length=0", *setup.changes))
+    made = setup.made()
     model = load_model(made.robot)
     if link and link not in model.frames:
         raise ConfigError(f"--link {link}: the links of {model.name} are {listed(model.frames)}")
@@ -127,7 +117,9 @@ def pushes(
             raise ConfigError("--bottle hits a robot that walks: choose --moment left, right or all")
         directions = 2
     if made.gait.style == "paper":
-        raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{config}' is {made.gait.style}")
+        raise ConfigError(
+            f"pushes need a standing or a dynamic walk; gait.style of '{setup.config}' is {made.gait.style}"
+        )
     moments = (study.MOMENTS[1:] if bottle else study.MOMENTS) if moment == "all" else (moment,)
     like = study.Push(moments[0], 0.0, 0.0, duration, part, bottle or 0.0, link or "")
     prepare_study(many, "limits.jsonl", "pushes.csv", "pushes.txt", "pushes.png")

@@ -6,20 +6,16 @@ import math
 import statistics
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from dqwalk_ros.cli.options import (
     Many,
+    Setup,
     command,
-    config_of,
-    config_option,
     many_options,
-    params_option,
-    plant_option,
-    set_option,
+    setup_options,
 )
 from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.errors import ConfigError
@@ -42,8 +38,7 @@ examples:
   dqwalk robustness --axis latency_error=-0.02,0.02 --sample 72      the controller assumes a wrong latency
   dqwalk robustness --plant poppy_as_built --steps 20                40 walks: two P gains, 20 seeds of the sensors
 """)
-@config_option("poppy")
-@plant_option(PHYSICS, "physics")
+@setup_options("poppy", PHYSICS, "physics")
 @click.option("--steps", metavar="N", type=int, default=10, help="Steps of each walk.")
 @click.option("--axis", metavar="KEY=A,B", multiple=True, help="Vary a parameter over these values; may be repeated.")
 @click.option(
@@ -51,18 +46,13 @@ examples:
 )
 @click.option("--seed", metavar="N", type=int, default=0, help="Seed of --sample.")
 @many_options("robustness")
-@params_option
-@set_option
 def robustness(
-    config: str,
-    plant: str,
+    setup: Setup,
     steps: int,
     axis: tuple[str, ...],
     sample: int,
     seed: int,
     many: Many,
-    params: tuple[Path, ...],
-    changes: tuple[str, ...],
 ) -> int:
     """Walk in physics with different robots and floors.
 
@@ -73,9 +63,9 @@ def robustness(
     from dqwalk_ros.report.figures.studies import robustness_figure
     from dqwalk_ros.studies import robustness as study
 
-    made = config_of(config, changes, plant=plant, params=params, also={"gait.steps": steps})
+    made = setup.made({"gait.steps": steps})
     if made.gait.style == "paper" and not made.gait.walk:  # its number of steps is not --steps, and it falls at once
-        raise ConfigError(f"robustness needs a standing or a dynamic walk; gait.style of '{config}' is paper")
+        raise ConfigError(f"robustness needs a standing or a dynamic walk; gait.style of '{setup.config}' is paper")
     axes = study.axes_of(made)
     for text in axis:
         name, _, values = text.partition("=")
