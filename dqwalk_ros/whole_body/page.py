@@ -14,7 +14,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.report.colors import BLUE, RED
 from dqwalk_ros.report.html.page import bad, figures, heading, origin_table, replay, table, write_page
-from dqwalk_ros.report.html.replay import Curve, Mark, Stretch, frames_of, walk_data
+from dqwalk_ros.report.html.replay import Curve, Mark, Replay, Stretch, frames_of
 from dqwalk_ros.report.metrics import support_polygon
 from dqwalk_ros.report.scene import bodies_of, on_ground
 from dqwalk_ros.whole_body.demands import Demand
@@ -113,8 +113,10 @@ def _body_replay_data(walked: WholeBodyTrace) -> dict[str, Any]:
         if known.any():
             exact = np.where(np.abs(values) < _ROUNDING, 0.0, values)
             curves[key] = Curve(title, unit, scale * np.where(known, exact, np.nan))
-    return walk_data(
-        walked.config, model, walked.time[rows] - began, np.array(bodies), walked.com[rows], polygons,
-        [(when, foot, place + model.soles[foot].corners) for when, foot, place in stands],
-        stretches, curves, [""] * len(rows), [Mark(BLUE, walked.hand[rows]), Mark(RED, walked.target[rows])],
-    )  # fmt: skip
+    return Replay(
+        config=walked.config, model=model, time=walked.time[rows] - began, bodies=np.array(bodies),
+        com=walked.com[rows], polygons=polygons,
+        prints=[(when, foot, place + model.soles[foot].corners) for when, foot, place in stands],
+        stretches=stretches, curves=curves, tight=[""] * len(rows),
+        marks=[Mark(BLUE, walked.hand[rows]), Mark(RED, walked.target[rows])],
+    ).data()  # fmt: skip

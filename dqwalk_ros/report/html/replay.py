@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,8 +58,69 @@ class Mark(NamedTuple):
     disc: bool = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class Replay:
+    """What the replay shows of a walk, with N frames.
+
+    Attributes
+    ----------
+    config : Config
+    model : RobotModel
+    time, bodies, com : ndarray, shapes (N,) [s], (N, B, 8), (N, 3) [m]
+        Of each frame: time since the first one, poses of the bodies, centre of mass.
+    polygons : sequence of ndarray, shape (m, 3) [m]
+        Support polygon of each frame.
+    prints : sequence of (time, Foot, corners)
+        Each footprint with the time from which it is shown [s] and its corners (4, 3) [m].
+    stretches : sequence of Stretch
+    curves : mapping of str to Curve
+        By the name of the constraint, whose region it belongs to, or another one.
+    marks : sequence of Mark
+    tight : sequence of str
+        Name of the curve that is marked in each frame.
+    regions : sequence of sequence of NamedRegion
+        Regions of the constraints in each frame.
+    """
+
+    config: Config
+    model: RobotModel
+    time: Array
+    bodies: Array
+    com: Array
+    polygons: Sequence[Array]
+    prints: Sequence[tuple[float, Foot, Array]]
+    stretches: Sequence[Stretch]
+    curves: Mapping[str, Curve]
+    marks: Sequence[Mark]
+    tight: Sequence[str]
+    regions: Sequence[Sequence[NamedRegion]] = ()
+
+    def data(self) -> dict[str, Any]:
+        """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32."""
+        names, shapes = list(dict.fromkeys(self.tight)), shapes_of(self.config, self.model)
+        tops = [DQ(self.bodies[0, s.body]).transform_point(DQ(s.pose).translation())[2] for s in shapes]
+        highest = max(*tops, *DQ(self.bodies[0]).translation()[:, 2])
+        return {
+            "shapes": [shape_data(shape) for shape in shapes],
+            "height": float(highest - self.polygons[0][:, 2].mean()),
+            "t": _packed(self.time),
+            "bodies": _packed(_moving(self.bodies)),
+            "com": _packed(self.com),
+            "polygons": {"counts": _bytes(map(len, self.polygons)), "v": _packed(np.concatenate(self.polygons))},
+            "prints": [{"t": t, "foot": foot.value, "c": _points(corners)} for t, foot, corners in self.prints],
+            "phases": [_phase(stretch) for stretch in self.stretches],
+            "curves": [
+                {"name": name, "title": c.title, "unit": c.unit, "v": _packed(c.values)}
+                for name, c in self.curves.items()
+            ],
+            "marks": [{"color": _color(m.color), "disc": m.disc, "v": _packed(m.points)} for m in self.marks],
+            "regions": _regions(self.regions),
+            "tight": {"names": names, "at": _bytes(names.index(name) for name in self.tight)},
+        }
+
+
 def replay_data(series: Series) -> dict[str, Any]:
-    """Return the data of a walk of phases, each frame being a `View`; see `walk_data`."""
+    """Return the data of a walk of phases, each frame being a `View`; see `Replay`."""
     trace, model = series.trace, series.trace.model
     starts = [span.start for span in series.spans]
     ticks = np.unique(np.concatenate([frames_of(trace.time), starts]))
@@ -84,63 +146,13 @@ def replay_data(series: Series) -> dict[str, Any]:
             landing = base.other, (x * DQ(span.phase.swing_target)).transform_point(corners)
         stretches.append(Stretch(start, span.phase.name, span.double, landing))
     divergent = np.array([np.full(3, np.nan) if view.divergent is None else view.divergent for view in views])
-    return walk_data(
-        trace.config, model, trace.time[ticks] - trace.time[0],
-        np.array([view.bodies for view in views]), np.array([view.com for view in views]),
-        [view.polygon for view in views], prints, stretches, curves, [tightest(view.gauges).name for view in views],
-        [Mark(DIVERGENT, divergent, disc=True)], [view.regions for view in views],
-    )  # fmt: skip
-
-
-def walk_data(
-    config: Config,
-    model: RobotModel,
-    time: Array,
-    bodies: Array,
-    com: Array,
-    polygons: Sequence[Array],
-    prints: Sequence[tuple[float, Foot, Array]],
-    stretches: Sequence[Stretch],
-    curves: Mapping[str, Curve],
-    tight: Sequence[str],
-    marks: Sequence[Mark],
-    regions: Sequence[Sequence[NamedRegion]] = (),
-) -> dict[str, Any]:
-    """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32.
-
-    Parameters
-    ----------
-    time, bodies, com : ndarray, shapes (N,) [s], (N, B, 8), (N, 3) [m]
-        Of each frame: time since the first one, poses of the bodies, centre of mass.
-    polygons : sequence of ndarray, shape (m, 3) [m]
-        Support polygon of each frame.
-    prints : sequence of (time, Foot, corners)
-        Each footprint with the time from which it is shown [s] and its corners (4, 3) [m].
-    curves : mapping of str to Curve
-        By the name of the constraint, whose region it belongs to, or another one.
-    tight : sequence of str
-        Name of the curve that is marked in each frame.
-    regions : sequence of sequence of NamedRegion
-        Regions of the constraints in each frame.
-    """
-    names, shapes = list(dict.fromkeys(tight)), shapes_of(config, model)
-    tops = [DQ(bodies[0, s.body]).transform_point(DQ(s.pose).translation())[2] for s in shapes]
-    return {
-        "shapes": [shape_data(shape) for shape in shapes],
-        "height": float(max(*tops, *DQ(bodies[0]).translation()[:, 2]) - polygons[0][:, 2].mean()),
-        "t": _packed(time),
-        "bodies": _packed(_moving(bodies)),
-        "com": _packed(com),
-        "polygons": {"counts": _bytes(len(polygon) for polygon in polygons), "v": _packed(np.concatenate(polygons))},
-        "prints": [{"t": t, "foot": foot.value, "c": _points(corners)} for t, foot, corners in prints],
-        "phases": [_phase(stretch) for stretch in stretches],
-        "curves": [
-            {"name": name, "title": c.title, "unit": c.unit, "v": _packed(c.values)} for name, c in curves.items()
-        ],
-        "marks": [{"color": _color(color), "disc": disc, "v": _packed(points)} for color, points, disc in marks],
-        "regions": _regions(regions),
-        "tight": {"names": names, "at": _bytes(names.index(name) for name in tight)},
-    }
+    return Replay(
+        config=trace.config, model=model, time=trace.time[ticks] - trace.time[0],
+        bodies=np.array([view.bodies for view in views]), com=np.array([view.com for view in views]),
+        polygons=[view.polygon for view in views], prints=prints, stretches=stretches, curves=curves,
+        marks=[Mark(DIVERGENT, divergent, disc=True)], tight=[tightest(view.gauges).name for view in views],
+        regions=[view.regions for view in views],
+    ).data()  # fmt: skip
 
 
 def _moving(x: Array) -> Array:
