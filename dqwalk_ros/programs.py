@@ -22,7 +22,7 @@ class _Starting:
         signal.signal(signal.SIGINT, self._before)
         if not isinstance(error, Exception):
             return
-        from dqwalk_ros.support.errors import not_imported  # not before Ctrl-C ends the program silently
+        from dqwalk_ros.support.imports import not_imported  # not before Ctrl-C ends the program silently
 
         if why := not_imported(error):
             sys.exit(f"{sys.argv[0].rpartition('/')[2]}: {why}")

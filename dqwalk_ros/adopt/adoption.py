@@ -45,9 +45,10 @@ from dqwalk_ros.robot.servos import load_types
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.robot.urdf import Urdf, moves
-from dqwalk_ros.support.errors import ModelError, missing
+from dqwalk_ros.support.errors import ModelError
 from dqwalk_ros.support.output import write_text
 from dqwalk_ros.support.text_table import aligned
+from dqwalk_ros.support.wording import missing
 
 _CROUCH = 0.91
 """Distance of hip and ankle as a fraction of the straight leg, for the longer steps of the whole-body controller."""

@@ -10,8 +10,9 @@ from typing import Any
 from dqwalk_ros.adopt.parameters import Numbers, dynamic_parameters
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import OutputError, printable
+from dqwalk_ros.support.errors import OutputError
 from dqwalk_ros.support.output import refuse_existing, write_text
+from dqwalk_ros.support.wording import printable
 
 FILES = (
     "robot.urdf", "robot.yaml", "dynamic.yaml", "climb.yaml", "paper.yaml", "whole_body.yaml", "robot.png", "adopt.json"

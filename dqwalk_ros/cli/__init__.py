@@ -14,8 +14,10 @@ from collections.abc import Sequence
 
 import click
 
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, ModelError, not_imported, printable
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, ModelError
+from dqwalk_ros.support.imports import not_imported
 from dqwalk_ros.support.interrupts import is_interrupt
+from dqwalk_ros.support.wording import printable
 
 __all__ = ["FAILED", "OK", "USAGE", "dqwalk", "main"]
 

@@ -21,7 +21,8 @@ from dqwalk_ros.cli.options import (
     quiet_option,
     set_option,
 )
-from dqwalk_ros.support.errors import ConfigError, ModelError, OutputError, kinds
+from dqwalk_ros.support.errors import ConfigError, ModelError, OutputError
+from dqwalk_ros.support.wording import kinds
 
 if TYPE_CHECKING:
     from dqwalk_ros.adopt import Adoption

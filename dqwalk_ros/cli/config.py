@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from dqwalk_ros.cli.options import command, config_of, params_option, parse_overrides, set_option
-from dqwalk_ros.support.errors import ConfigError, listed
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.wording import listed
 
 if TYPE_CHECKING:
     from pathlib import Path

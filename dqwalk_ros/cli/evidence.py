@@ -13,8 +13,9 @@ import click
 
 from dqwalk_ros.cli.options import Many, command, many_options
 from dqwalk_ros.plants.table import PHYSICS
-from dqwalk_ros.support.errors import ConfigError, listed
-from dqwalk_ros.support.text_table import aligned, without_numbers
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.text_table import aligned
+from dqwalk_ros.support.wording import listed, without_numbers
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.evidence import WalkOutcome

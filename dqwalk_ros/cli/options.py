@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dqwalk_ros.plants.table import PLANTS, entry
-from dqwalk_ros.support.errors import ConfigError, unexpanded
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.output import unwritable
+from dqwalk_ros.support.wording import unexpanded
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config

@@ -18,7 +18,8 @@ from dqwalk_ros.cli.options import (
     setup_options,
 )
 from dqwalk_ros.plants.table import PHYSICS
-from dqwalk_ros.support.errors import ConfigError, listed
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.wording import listed
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config

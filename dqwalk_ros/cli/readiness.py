@@ -25,8 +25,9 @@ from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.directions import motion
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.support.errors import StateError, shown
+from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.topics import VELOCITY
+from dqwalk_ros.support.wording import shown
 
 _RATE = 0.2
 """Largest relative error of the period of the states."""

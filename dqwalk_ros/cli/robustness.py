@@ -19,7 +19,7 @@ from dqwalk_ros.cli.options import (
 )
 from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.support.text_table import without_numbers
+from dqwalk_ros.support.wording import without_numbers
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.robustness import Cell

@@ -18,8 +18,9 @@ import yaml
 from dqwalk_ros.config.configuration import Config
 from dqwalk_ros.config.schema import Value
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError, listed, missing
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.node_table import NODES
+from dqwalk_ros.support.wording import listed, missing
 
 _MOST = 2000
 """Largest number of parameters of one section; this package has less than 300."""

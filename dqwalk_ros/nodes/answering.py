@@ -24,7 +24,8 @@ from dqwalk_ros.nodes.state_gate import StateGate
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support import provenance
-from dqwalk_ros.support.errors import DqwalkError, QPError, StateError, listed
+from dqwalk_ros.support.errors import DqwalkError, QPError, StateError
+from dqwalk_ros.support.wording import listed
 
 Fields = dict[str, Any]
 """A command: values (n,) by the field of JointState."""

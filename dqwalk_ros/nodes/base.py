@@ -31,10 +31,11 @@ from std_srvs.srv import Trigger
 from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, one_line
+from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.support.interrupts import end_with
 from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS
+from dqwalk_ros.support.wording import one_line
 
 _TOPICS = TOPICS | BODY_TOPICS | {PHASE_LOG.name: PHASE_LOG}
 _DISCOVERED, _HEARD = 0.4, 1.5

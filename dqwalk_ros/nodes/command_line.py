@@ -20,9 +20,11 @@ from pathlib import Path
 
 from dqwalk_ros.config import Config, Spec
 from dqwalk_ros.plants.table import defaults_of
-from dqwalk_ros.support.errors import ConfigError, not_imported, unexpanded
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.imports import not_imported
 from dqwalk_ros.support.node_table import NODES
 from dqwalk_ros.support.ros_environment import check_ros_environment
+from dqwalk_ros.support.wording import unexpanded
 
 
 def docstring(name: str) -> str:

@@ -34,8 +34,9 @@ from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import stands_still
 from dqwalk_ros.simulation import warm_up
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, StateError, one_line
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, StateError
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
+from dqwalk_ros.support.wording import one_line
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
 

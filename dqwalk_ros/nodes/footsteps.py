@@ -17,7 +17,8 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import StateError, shown
+from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.wording import shown
 from dqwalk_ros.walks.stepping import SteppingWalk
 
 _MAX_STEPS = 50

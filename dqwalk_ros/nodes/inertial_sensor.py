@@ -12,7 +12,8 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.state_gate import Felt, InertialGate
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.support.errors import StateError, shown
+from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.wording import shown
 
 
 class InertialSensor:

@@ -19,7 +19,8 @@ from rclpy.node import Node
 from dqwalk_ros.config import OF_RCLPY, Config, Spec, is_foreign, resolved, sections_of
 from dqwalk_ros.plants.table import defaults_of
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError, shown
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.wording import shown
 
 
 def declare(node: Node, argv: Sequence[str]) -> Config:

@@ -21,8 +21,9 @@ from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel, parse_model
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import DqwalkError, StateError, shown
+from dqwalk_ros.support.errors import DqwalkError, StateError
 from dqwalk_ros.support.topics import TOPICS
+from dqwalk_ros.support.wording import shown
 from dqwalk_ros.walks.table import make_walk, refuse_foreign_code
 
 _KEPT = 100

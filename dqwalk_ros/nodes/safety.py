@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from dqwalk_ros.robot.limits import clamp_velocity
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import StateError, listed
+from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.wording import listed
 
 Clock = Callable[[], float]
 

@@ -10,7 +10,8 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.plants.base import require_real_time
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError, listed
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.wording import listed
 
 _TOPICS = {
     ("float64_multi_array", "velocity"): "forward_velocity_controller/commands",

@@ -6,7 +6,8 @@ import importlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dqwalk_ros.support.errors import PlantError, how_to_install
+from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.support.imports import how_to_install
 from dqwalk_ros.support.own_class import own_class
 
 if TYPE_CHECKING:  # the help texts list the plants, and import no numpy

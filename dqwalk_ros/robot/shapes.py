@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from dqwalk_ros.robot.packages import find_package_file, is_pointer
 from dqwalk_ros.robot.urdf import Urdf, pose_of
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import ModelError, listed
+from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.support.wording import listed
 
 if TYPE_CHECKING:
     from yourdfpy import Collision, Link, Visual

@@ -14,7 +14,8 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from dqwalk_ros.robot.packages import POINTER, decoded
-from dqwalk_ros.support.errors import ModelError, kinds
+from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.support.wording import kinds
 
 MOST_BYTES = 32 << 20
 _DEEPEST = 64

@@ -29,7 +29,8 @@ from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError, listed
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError
+from dqwalk_ros.support.wording import listed
 from dqwalk_ros.walks.course import Course, speeds
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, make_walk, refuse_endless, walk_type

@@ -15,7 +15,8 @@ import msgspec
 
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.support import strict_yaml
-from dqwalk_ros.support.errors import ConfigError, missing
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.wording import missing
 
 MAX_WALKS = 100_000
 """Largest number of walks of a study."""

@@ -7,7 +7,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from dqwalk_ros.support.errors import ConfigError, listed
+from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.wording import listed
 
 _LAST_DOMAIN = 232
 """The ports of higher domains would be above 65535."""

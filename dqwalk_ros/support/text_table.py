@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Sequence
 
-_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 _WIDTH = 10_000
 """Width of the console [characters]: no line is cut or wrapped, so that programs can read the output."""
 
@@ -35,8 +33,3 @@ def aligned(rows: Sequence[Sequence[str]], head: Sequence[str] = (), right: Sequ
     text = io.StringIO()
     Console(file=text, width=_WIDTH, color_system=None).print(made)
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines())
-
-
-def without_numbers(text: str) -> str:
-    """Return a message with # for each number, to count messages that differ in numbers only."""
-    return _NUMBER.sub("#", text)

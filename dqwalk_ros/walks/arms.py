@@ -28,7 +28,8 @@ from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.support.errors import ConfigError, StateError, listed, shown
+from dqwalk_ros.support.errors import ConfigError, StateError
+from dqwalk_ros.support.wording import listed, shown
 
 _LOOSE = 0.03
 """Factor of the errors of joints whose hand follows a pose: their posture decides what the pose leaves free."""

@@ -22,8 +22,8 @@ import pytest
 
 import dqwalk_ros
 from dqwalk_ros.cli.runner import private_domain
-from dqwalk_ros.support import errors
-from dqwalk_ros.support.errors import how_to_install
+from dqwalk_ros.support import imports
+from dqwalk_ros.support.imports import how_to_install
 from dqwalk_ros.support.node_table import NODES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,7 +53,7 @@ def test_packages_to_install_are_those_of_setup_py() -> None:
     """The name on PyPI that an error gives is one that an extra installs."""
     from packaging.requirements import Requirement
 
-    named = {how_to_install(module).removeprefix("pip install ") for module in errors._ON_PYPI}
+    named = {how_to_install(module).removeprefix("pip install ") for module in imports._ON_PYPI}
     assert named <= {Requirement(one).name for one in metadata.requires("dqwalk_ros") or ()}
 
 

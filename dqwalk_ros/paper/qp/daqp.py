@@ -10,7 +10,8 @@ import numpy as np
 from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, Solver, check, check_finite, kkt, parts, scale
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.support.errors import ConfigError, QPError, how_to_install
+from dqwalk_ros.support.errors import ConfigError, QPError
+from dqwalk_ros.support.imports import how_to_install
 
 EQUALITY = 5
 """DAQP's code of an equality."""

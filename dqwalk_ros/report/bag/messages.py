@@ -20,7 +20,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.report.bag.storage import Column, Source, content_of, typestore
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError
-from dqwalk_ros.support.text_table import without_numbers
+from dqwalk_ros.support.wording import without_numbers
 
 Stamps = NDArray[np.int64]
 """Time stamps, shape (N,) [ns]."""

@@ -20,7 +20,8 @@ from dqwalk_ros.report.bag.messages import NS, Stamps, aligned, joint_states, po
 from dqwalk_ros.report.bag.recording import Recording
 from dqwalk_ros.report.bag.storage import Column
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import BagError, PhaseError, listed, shown
+from dqwalk_ros.support.errors import BagError, PhaseError
+from dqwalk_ros.support.wording import listed, shown
 from dqwalk_ros.trace import PhaseRecord
 from dqwalk_ros.walks.table import walk_type
 

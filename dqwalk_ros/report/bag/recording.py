@@ -16,8 +16,9 @@ from dqwalk_ros.report.bag.messages import NS, JointStates, Messages, Stamps, jo
 from dqwalk_ros.report.bag.storage import Column, Content, Source, content_of
 from dqwalk_ros.robot.model import RobotModel, load_model, parse_model
 from dqwalk_ros.support import provenance
-from dqwalk_ros.support.errors import BagError, ConfigError, ModelError, listed
+from dqwalk_ros.support.errors import BagError, ConfigError, ModelError
 from dqwalk_ros.support.topics import Topic
+from dqwalk_ros.support.wording import listed
 from dqwalk_ros.trace import Recorded
 from dqwalk_ros.walks.table import refuse_foreign_code
 

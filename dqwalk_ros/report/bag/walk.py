@@ -38,8 +38,9 @@ from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import BagError, one_line
+from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
+from dqwalk_ros.support.wording import one_line
 from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace, known_loads
 
 _CLOCK = 10**18
