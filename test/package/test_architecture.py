@@ -84,6 +84,12 @@ def test_every_module_is_in_a_ring():
     assert {ring(file) for file in FILES} - {"__init__", "__main__"} <= set(RINGS)
 
 
+def test_the_map_names_every_module():
+    """But for the commands, which `dqwalk --help` lists."""
+    words = set(re.findall(r"\w+", (ROOT / "docs/architecture.md").read_text(encoding="utf-8")))
+    assert {file.stem for file in FILES if not file.stem.startswith("__") and ring(file) != "cli"} <= words
+
+
 def test_the_root_floor_is_small():
     assert len(list(PACKAGE.glob("*.py"))) <= 8
 
