@@ -57,7 +57,7 @@ class CommandInput:
         self._moving = False
         self._published_ready: bool | None = None
         reports = topic == VELOCITY and not node.lockstep  # where a plant holds, and says so
-        self._ready = node.create_publisher(Bool, "plant_ready", ros.latched()) if reports else None
+        self._ready = node.create_publisher(Bool, "plant_ready", ros.watched()) if reports else None
         self._warned = ""
         self._warnings = node.advertise("plant_warning") if topic == VELOCITY else None
         node.create_timer(_CHECK, self._check)

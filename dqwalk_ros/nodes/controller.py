@@ -13,6 +13,7 @@ import time
 from typing import Any
 
 import numpy as np
+from rclpy.event_handler import SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
@@ -119,8 +120,9 @@ class Controller(AnsweringNode):
         warm_up(config, self._model)
         self._controller = make_controller(config, self._model)
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
-        self._stamp0 = -1  # of the first state answered [ns]
-        self._plant_ready, self._plant_warning = True, ""
+        self._began: float | None = None  # time of the first state answered [s]
+        self._plant_ready = self._says_ready = True  # now, and by its last message
+        self._plant_warning = ""
         self._left_at: State | None = None  # at which the plant has interrupted the walk
         self._ended_for = ""  # the warning that has ended the walk
         self._pausing = False  # the walk comes to a rest, where it is paused
@@ -142,9 +144,12 @@ class Controller(AnsweringNode):
 
         # In real time only the newest state is of use; in lockstep every state must arrive.
         self.listen(JointState, "joint_states", self._on_state, 1 if self.lockstep else ros.best_effort(1))
-        self.create_subscription(Bool, "plant_ready", self._on_plant_ready, ros.latched())
-        for profile in (ros.latched(), ros.best_effort(1)):  # of any publisher: a warning must be heard
-            self.create_subscription(String, "plant_warning", self._on_plant_warning, profile)
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)  # a publisher is heard by one of them
+        for profile in (ros.latched(), ros.best_effort(1)):
+            self.create_subscription(Bool, "plant_ready", self._on_plant_ready, profile, event_callbacks=events)
+            self.create_subscription(String, "plant_warning", self._on_plant_warning, profile, event_callbacks=events)
+        alive = SubscriptionEventCallbacks(liveliness=self._on_liveliness, use_default_callbacks=False)
+        self.create_subscription(Bool, "plant_ready", lambda _: None, ros.watched(), event_callbacks=alive)
         self._imu = (
             InertialSensor(self, self._model.imu_link, self._gate.inertial, self._take) if config.plant.imu else None
         )
@@ -262,10 +267,10 @@ class Controller(AnsweringNode):
             return self._still
         if self._arms is not None:
             self._arms.tell()
-        if self._stamp0 < 0:
-            self._stamp0 = stamp
+        if self._began is None:
+            self._began = state.time
         if self._phases.follow(self._controller, stamp):
-            self._begin_phase(stamp)
+            self._begin_phase(state.time - self._began)
         if self._controller.finished:
             self._mode = Mode.DONE
             return self._still
@@ -330,9 +335,20 @@ class Controller(AnsweringNode):
 
     def _on_plant_ready(self, msg: Bool) -> None:
         """Stand still while the plant cannot execute commands, such as a robot whose torque is off."""
-        if msg.data != self._plant_ready:
-            self._plant_ready = msg.data
-            self.get_logger().info("the plant is ready" if msg.data else "standing still until the plant is ready")
+        self._says_ready = msg.data
+        self._wait(msg.data, "")
+
+    def _on_liveliness(self, event: Any) -> None:
+        """Stand still while no plant lives: one that was killed or stopped cannot say that it is not ready."""
+        if event.not_alive_count and not event.alive_count:
+            self._wait(False, "the plant's process was killed or stopped: ")
+        elif event.alive_count and event.not_alive_count_change < 0:  # the same one lives again
+            self._wait(self._says_ready, "")
+
+    def _wait(self, ready: bool, why: str) -> None:
+        if ready != self._plant_ready:
+            self._plant_ready = ready
+            self.get_logger().info("the plant is ready" if ready else f"{why}standing still until the plant is ready")
 
     def _on_plant_warning(self, msg: String) -> None:
         """End the walk in a stance, because the plant would soon hold in mid-step; one that cannot stop is paused."""
@@ -403,7 +419,7 @@ class Controller(AnsweringNode):
         self._phases.restart()
         self._mode, self._pausing, self._first_base = Mode.IDLE, False, None
         self._problem = self._ended_for = ""
-        self._stamp = self._stamp0 = -1
+        self._stamp, self._began = -1, None
         self._sent = self._still
         self._gate.reset()
         self._falls.forget()
@@ -436,7 +452,7 @@ class Controller(AnsweringNode):
     @property
     def _has_begun(self) -> bool:
         """Whether the walk has a phase."""
-        return self._stamp0 >= 0
+        return self._began is not None
 
     @property
     def _label(self) -> str:
@@ -451,14 +467,13 @@ class Controller(AnsweringNode):
         if self._footsteps is not None and self._has_begun:
             self._footsteps.show(ended="the walk is over")
 
-    def _begin_phase(self, stamp: int) -> None:
+    def _begin_phase(self, elapsed: float) -> None:
         phase = self._controller.phase
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
             self._odometry.note_step()
         if self._footsteps is not None:
             self._footsteps.show()
-        elapsed, index = (stamp - self._stamp0) * 1e-9, self._controller.phase_index
-        self.get_logger().info(f"{elapsed:8.3f} s  phase {index}: {phase.name}")
+        self.get_logger().info(f"{elapsed:8.3f} s  phase {self._controller.phase_index}: {phase.name}")
 
     def _condition(self) -> tuple[str, str, dict[str, object]]:
         values: dict[str, object] = {}
@@ -491,7 +506,7 @@ class Controller(AnsweringNode):
             mode=self._mode.value,
             phase=self._controller.phase.name if walking else "",
             phase_index=self._controller.phase_index,
-            time=(self._stamp - self._stamp0) * 1e-9 if walking else 0.0,
+            time=0.0 if self._began is None else self._gate.time_of(self._stamp) - self._began,
             ticks=self._ticks,
             error=float(self._controller.error) if walking else None,
             reason=self._problem or self._ended_for,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, WrenchStamped
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -26,6 +27,9 @@ from dqwalk_ros.plants.base import Inertial, upward
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
 
+_LEASE = 0.5
+"""Time without a sign of life after which a publisher of `watched` is taken for killed or stopped [s]."""
+
 
 def best_effort(depth: int) -> QoSProfile:
     """Return the quality of service of a subscription for which the newest message matters, and a lost one does not."""
@@ -35,6 +39,12 @@ def best_effort(depth: int) -> QoSProfile:
 def latched(depth: int = 1) -> QoSProfile:
     """Return the quality of service of a topic that late subscribers receive as well (transient local)."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def watched() -> QoSProfile:
+    """Return that of a latched topic whose subscribers may ask to be told when its process is killed or stopped."""
+    lease = Duration(seconds=_LEASE)
+    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, liveliness_lease_duration=lease)
 
 
 def message_type(name: str) -> Any:

@@ -129,6 +129,9 @@ def test_a_clock_that_is_set_is_logged_and_the_walk_continues(make: Any, step: f
     np.testing.assert_allclose([*found, walk.tick()], expected, atol=1e-9)
     assert walk.got["phase"] == other.got["phase"]
     assert f"the stamps jumped by {step:+.3f} s, a clock was set; the walk continues" in walk.log
+    phase = [text for _, text in walk.log.lines if "phase 0: " in text]
+    walk.node._begin_phase(walk.node._gate.time_of(round(1e9 * walk.now)) - walk.node._began)  # of the next phase
+    assert [float(text.split()[0]) for text in (*phase, walk.log.lines[-1][1])] == pytest.approx([0.0, 7 * CONFIG.dt])
     assert values(walk.status)["clock steps"] == "1"
     assert values(walk.status)["states overtaken"] == "2"
     assert "jumped" not in other.log

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from inside import state
+from inside import state, until
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
@@ -150,3 +153,77 @@ def test_a_warning_is_heard_of_any_publisher_in_one_line(make: Any, domain: int,
     finally:
         battery.destroy_node()
         context.try_shutdown()
+
+
+_PLANT = """
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import Bool
+from dqwalk_ros.nodes import messages as ros
+rclpy.init(domain_id={domain})
+node = Node("drive")
+node.create_publisher(Bool, "plant_ready", ros.{profile}).publish(Bool(data=True))
+rclpy.spin(node)
+"""
+
+
+@pytest.mark.parametrize("profile", ["watched()", "latched()"])
+def test_the_walk_waits_while_its_plant_is_stopped_or_killed(make: Any, domain: int, profile: str) -> None:
+    """If that is a plant of this package; one of another quality of service is not taken for dead."""
+    one = make("controller", CONFIG)
+    executor: Any = EventsExecutor(context=one.context)
+    executor.add_node(one.node)
+    ends = one.node.get_publishers_info_by_topic
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start() -> None:
+        started.append(subprocess.Popen([sys.executable, "-c", _PLANT.format(domain=domain, profile=profile)]))
+        until(lambda: len(ends("/plant_ready")) == len(started))
+
+    def waits(expected: bool, least: float = 0.0) -> None:
+        since = time.monotonic()
+
+        def waiting() -> bool:
+            executor.spin_once(timeout_sec=0.05)
+            return time.monotonic() - since >= least and bool(one.node._plant_ready) is not expected
+
+        until(waiting)
+
+    mortal = profile == "watched()"
+    try:
+        for _ in range(2 if mortal else 1):  # the second one beside the first, which the middleware still lists
+            start()
+            waits(False, 0.2)
+            started[-1].send_signal(signal.SIGSTOP)
+            waits(mortal, 0.7)
+            started[-1].send_signal(signal.SIGCONT)
+            waits(False)
+            started[-1].kill()
+            waits(mortal, 0.7)
+        assert ("process was killed or stopped" in one.log) == mortal
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+        executor.remove_node(one.node)
+
+
+@pytest.mark.parametrize(
+    "profile", [BEST_EFFORT, QoSProfile(depth=10), ros.latched()], ids=["sensor", "cli", "latched"]
+)
+def test_a_plant_that_is_not_ready_is_heard_whatever_its_quality_of_service(
+    make: Any, domain: int, profile: Any
+) -> None:
+    one = make("controller", CONFIG)
+    plant = one.foreign_node("driver").create_publisher(Bool, "plant_ready", profile)
+    executor: Any = EventsExecutor(context=one.context)
+    executor.add_node(one.node)
+
+    def heard() -> bool:
+        plant.publish(Bool(data=False))
+        executor.spin_once(timeout_sec=0.05)
+        return not one.node._plant_ready
+
+    until(heard)
+    executor.remove_node(one.node)
+    assert not one.log.lines or "incompatible" not in str(one.log.lines)
