@@ -20,12 +20,14 @@ from typing import Any
 from benchmark.timing import machine, table  # first: it sets the number of threads
 from dqwalk_ros.adopt import adopt
 from dqwalk_ros.adopt.trial import dynamic_walks, first_walks
+from dqwalk_ros.cli.progress import Progress
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, report
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.errors import DqwalkError
+from dqwalk_ros.support.interrupts import is_interrupt
 from dqwalk_ros.walks.table import make_controller
 
 
@@ -74,7 +76,7 @@ def dynamic_speed(folder: Path) -> str:
 
 
 def main() -> int:
-    """Print the table; return 1 if it is empty."""
+    """Print the table; return 1 if it is empty, or Ctrl-C has ended it before the last robot."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("paths", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("results/robots"))
@@ -82,18 +84,26 @@ def main() -> int:
     args = parser.parse_args()
     files = [f for p in args.paths for f in (sorted(p.rglob("*.urdf")) if p.is_dir() else [p]) if args.only in str(f)]
     rows, refused = [], []
-    for number, file in enumerate(files, 1):
-        print(f"{number} of {len(files)}: {file}", flush=True)
+    whole = True
+    with Progress() as bar:
         try:
-            rows.append(row(file, args.out / f"{number}_{file.stem}"))
-        except DqwalkError as error:
-            refused.append(f"- `{file.name}`: {error}")
+            for number, file in enumerate(files, 1):
+                bar.stage((number - 1) / len(files), f"{number} of {len(files)}: {file.stem}")
+                try:
+                    rows.append(row(file, args.out / f"{number}_{file.stem}"))
+                except DqwalkError as error:
+                    refused.append(f"- `{file.name}`: {error}")
+        except (KeyboardInterrupt, SystemError) as error:
+            if not is_interrupt(error):
+                raise
+            whole = False
+            bar.print(f"interrupted: the {len(files) - number + 1} robots from {file.stem} on are not in the table")
     head = ["robot", "kg", "adopted in [s]", "cure", "way [m]", "m/s", "tilt [deg]", "CoP inside [%]", "turned [deg]",
             "stands", "paper's walk", "dynamic walk [m/s]"]  # fmt: skip
     print(f"\n{machine()}\n\n{table(head, rows)}")
     if refused:
         print("\nNot adopted:\n\n" + "\n".join(refused))
-    return 0 if rows else 1
+    return 0 if rows and whole else 1
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ class Progress:
             disable=quiet or not self._terminal,
             leave=False,
             miniters=0,  # a new text is shown also without progress
+            smoothing=0.0,  # a walk reports whole phases: the mean speed of all of them
             dynamic_ncols=True,  # what is too long for a line is cut off at its end
             bar_format="{percentage:3.0f} % |{bar:20}| {elapsed}<{remaining} {desc}",
         )

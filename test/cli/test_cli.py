@@ -595,6 +595,18 @@ def test_progress_shows_fraction_text_and_time_left(capsys, monkeypatch):
     assert capsys.readouterr().err == ""
 
 
+def test_the_time_left_follows_from_the_mean_speed(capsys, monkeypatch):
+    """A walk reports whole phases, and the last step of its bar takes no time."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    now = [100.0]
+    monkeypatch.setattr("tqdm.std.time", lambda: now[0])
+    with Progress() as bar:
+        for at in range(23):
+            now[0] = 100.0 + at
+            bar(0.0 if at < 20 else 0.25, "walking")
+    assert "00:20<01:00" in capsys.readouterr().err
+
+
 def test_a_new_text_is_shown_also_without_progress(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with Progress() as bar:
