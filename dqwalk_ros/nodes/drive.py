@@ -59,6 +59,7 @@ class RobotDrive(WalkNode):
 
         joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort [N m] is fed forward as angles
         joint_states             sensor_msgs/JointState [rad]: measured angles
+        /diagnostics             diagnostic_msgs/DiagnosticArray of a controller_manager: which controllers are active
 
     Publishes, depending on output.type, output.interface and output.topic::
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import partial
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.node import Node
@@ -22,6 +23,7 @@ _PATIENCE = 1.0
 """Time after which a node that has not answered is asked again [s]: an answer may be lost."""
 _TRUSTED = 3.0
 """Time after which a node without a service for its parameters is trusted [s]; it may be on another machine."""
+_MANAGER = "/controller_manager"
 
 
 class RobotControllers:
@@ -30,7 +32,7 @@ class RobotControllers:
     A Float64MultiArray has neither names nor units: in another order it moves wrong joints, and an angle is no
     velocity. The controllers of ros2_control have both in their parameters ``joints`` and ``interface_name``, which are
     asked for one by one, because a node in C++ that lacks one of those asked for answers none. A node without such
-    parameters is trusted.
+    parameters is trusted. One that its controller_manager reports on /diagnostics as not active ignores its commands.
 
     Parameters
     ----------
@@ -58,6 +60,9 @@ class RobotControllers:
         self._cleared = False  # all have answered, and none that is confirmed has gone since
         self._had_one = False  # a confirmed one, without which nothing is sent any more
         self.wrong: dict[str, str] = {}
+        self._states: dict[str, str] = {}  # active, inactive, ..., by the name of the controller
+        self._listening: set[str] = set()  # names of the nodes that subscribe
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._duplicates = DuplicatePublishers(clock)
         self._others, self._counted = "", -math.inf  # who else publishes the commands, and when it was looked for [s]
 
@@ -69,6 +74,10 @@ class RobotControllers:
             return f"no node subscribes to {topic}: is the robot's controller active?"
         if self._others:
             return f"more than one node commands {topic}: {self._others}"
+        known = {name: self._states[name] for name in sorted(self._listening) if name in self._states}
+        if known and "active" not in known.values():
+            name, state = next(iter(known.items()))
+            return f"the controller {name} is {state}: `ros2 control set_controller_state {name} active`"
         if not self._expected:
             return ""
         if self.wrong:
@@ -85,9 +94,10 @@ class RobotControllers:
         if self._clock() - self._counted > _CHECK:
             self._counted = self._clock()
             self._others = self._duplicates.judge(ros.publishers_of(self._node, self._output.topic_name))
+        ends = self._node.get_subscriptions_info_by_topic(self._output.topic_name)
+        self._listening = {end.node_name for end in ends}
         if not self._expected:
             return
-        ends = self._node.get_subscriptions_info_by_topic(self._output.topic_name)
         names = {(f"{end.node_namespace.rstrip('/')}/{end.node_name}", bytes(end.endpoint_gid)) for end in ends}
         for gone in self._found.keys() - names:
             one = self._found.pop(gone)
@@ -103,6 +113,17 @@ class RobotControllers:
         self._had_one |= there
         asked = not any(one.left for one in self._found.values())
         self._cleared = (self._cleared or asked) and (there or (bool(self._found) and not self._had_one))
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        """Note the states of controllers; not of several managers, because they have no namespace there."""
+        managers = [
+            name for name in ros.publishers_of(self._node, "/diagnostics") if name.endswith((_MANAGER, UNKNOWN))
+        ]
+        for status in msg.status if len(managers) == 1 else ():
+            if status.name == f"{_MANAGER[1:]}: Controllers Activity":
+                suffix = ".state"
+                found = (value for value in status.values if value.key.endswith(suffix))
+                self._states = {value.key.removesuffix(suffix): value.value for value in found}
 
     def _ask(self, one: _Controller) -> None:
         if one.name.endswith(UNKNOWN):  # its node has not been discovered yet

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from inside import state, until
 from rclpy.clock import ClockType
 from rclpy.executors import SingleThreadedExecutor
@@ -288,6 +289,33 @@ def test_a_second_node_that_commands_the_robot_stops_it(make: Any) -> None:
     assert all(msg.position == sent[-1] for msg in driven.sent[len(sent) :])
     sliders.destroy_publisher(other)
     until(lambda: driven.tick(0.1) or not driven.node._blind)
+
+
+def test_a_controller_that_is_not_active_is_named(make: Any) -> None:
+    """It subscribes to its commands as soon as it is configured, and ignores them until it is active."""
+    driven = Driven(make, asks=True, output__type="joint_state", output__topic="joint_commands")
+    one = driven.one
+    robot, manager = one.beside("legs"), one.beside("controller_manager")
+    robot.create_subscription(JointState, "joint_commands", lambda _: None, 1)
+    publishers = [manager.create_publisher(DiagnosticArray, "/diagnostics", 1)]
+    until(lambda: driven.tick(0.1) or driven.sent)
+
+    def report(state: str) -> str:
+        values = [KeyValue(key="arms.state", value="active"), KeyValue(key="legs.state", value=state)]
+        values.append(KeyValue(key="legs.execution_time", value="Avg: 3.00 us"))
+        status = DiagnosticStatus(name="controller_manager: Controllers Activity", values=values)
+        one.send("/diagnostics", DiagnosticArray(status=[DiagnosticStatus(name="other"), status]))
+        driven.tick(0.1)
+        return str(driven.node._blind)
+
+    until(lambda: report("inactive"))
+    expected = "the controller legs is inactive: `ros2 control set_controller_state legs active`"
+    assert report("inactive") == expected
+    assert not one.got["plant_ready"][-1].data
+    assert report("active") == ""
+    publishers.append(one.foreign_node("controller_manager").create_publisher(DiagnosticArray, "/diagnostics", 1))
+    until(lambda: driven.node.count_publishers("/diagnostics") == 3)
+    assert report("inactive") == "", "of which of the managers?"
 
 
 def test_a_drive_that_ends_is_not_ready(make: Any) -> None:
