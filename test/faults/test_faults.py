@@ -13,10 +13,8 @@ def test_tests_in_the_tables_of_faults_exist() -> None:
     lines = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8").splitlines()
     rows = [[part.strip() for part in line.split("|")[1:-1]] for line in lines if line.startswith("| ")]
     heads = [row for row in rows if row[0] == "fault"]
-    assert heads == [
-        ["fault", "what happens", "physics", "drive", "poppy"],
-        ["fault", "what happens", "shown by"],
-    ]
+    assert heads[0] == ["fault", "what happens", "physics", "drive", "poppy"]
+    assert all(head == ["fault", "what happens", "shown by"] for head in heads[1:])
     assert len(rows) > 40
     for row in (row for row in rows if row not in heads):
         assert len(row) in (3, 5), row
