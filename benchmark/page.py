@@ -16,21 +16,23 @@ from pathlib import Path
 TEXT = """\
 # Benchmarks
 
-This page lists the computing time of a control tick, alone and beside other packages, of the physics loop, of the nodes, of
-the start of a program, and of studies. `python -m benchmark.page` writes it; do not edit. Times are medians of single calls
-in an interleaved run on a shared machine: compare only numbers of one table, and ratios rather than times.
+This page lists the computing time of a control tick, alone and beside other packages, of the physics loop, of the
+nodes, of the start of a program, and of studies. `python -m benchmark.page` writes it; do not edit. Times are medians
+of single calls in an interleaved run on a shared machine: compare only numbers of one table, and ratios rather than
+times.
 
 **Peers** are other packages (`benchmark/peers.py`) with the same robot, from the state to the joint velocities.
 
-- *In place* is Pinocchio as an experienced user would write it: preallocated arrays, direct call of the solver. Clarabel in
-  place uses its default tolerances, without scaling. *qpsolvers* is a simple first version.
-- roboplan and placo load different versions of Pinocchio, so they run in separate environments, each beside this package.
-  roboplan is C++ throughout, and its single support lacks the CoM cylinder.
-- *error* is that of u relative to the largest joint velocity. mink, pink, placo and roboplan use their own tasks for the
-  swing foot; their error is the difference of their result from that of (U6).
+- *In place* is Pinocchio as an experienced user would write it: preallocated arrays, direct call of the solver.
+  Clarabel in place uses its default tolerances, without scaling. *qpsolvers* is a simple first version.
+- roboplan and placo load different versions of Pinocchio, so they run in separate environments, each beside this
+  package. roboplan is C++ throughout, and its single support lacks the CoM cylinder.
+- *error* is that of u relative to the largest joint velocity. mink, pink, placo and roboplan use their own tasks for
+  the swing foot; their error is the difference of their result from that of (U6).
 
-**Nodes**: a *late* state is one that the plant, here the benchmark, could not send on time while the controller was working.
-The *bare loop* sleeps to the same schedule and does nothing else. A *bare machine* has no cache of compiled code.
+**Nodes**: a *late* state is one that the plant, here the benchmark, could not send on time while the controller was
+working. The *bare loop* sleeps to the same schedule and does nothing else. A *bare machine* has no cache of compiled
+code.
 
 """
 
