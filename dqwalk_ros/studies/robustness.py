@@ -6,7 +6,6 @@ import functools
 import itertools
 import math
 import random
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,23 +14,19 @@ import msgspec
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.phase import Phase, PhaseKind
 from dqwalk_ros.plants.table import make_plant
-from dqwalk_ros.report.binding import limits_at
-from dqwalk_ros.report.ground import TIPPED, commanded_way, middle, shortfall
+from dqwalk_ros.report.binding import acting, limits_reached, most_loaded
+from dqwalk_ros.report.ground import shortfall
+from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.robot.servos import Servos
-from dqwalk_ros.simulation import closed_loop
+from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.plan import MAX_WALKS, digest
 from dqwalk_ros.studies.runner import Store, run
-from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import ConfigError, DqwalkError
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError
 from dqwalk_ros.walks.table import make_controller, refuse_endless
 
 LATENCY_ERROR = "latency_error"
 """An axis that is not a parameter: error of the latency that the controller assumes [s]."""
-_SAMPLE = 0.02
-"""Sampling period of the tilt of the soles [s]."""
 
 
 def axes_of(config: Config) -> dict[str, tuple[float, ...]]:
@@ -122,41 +117,28 @@ def assumed(config: Config, latency_error: float = 0.0) -> dict[str, float]:
 
 def walk(config: Config, index: int, values: Mapping[str, Any]) -> CellOutcome:
     """Simulate one combination in physics, until the walk ends or the robot falls."""
-    time, tilt, load, joint, reached, last = 0.0, 0.0, 0.0, "", Counter[str](), None
-    landed, stands = list[Phase](), list[Array]()
     parameters = {name: value for name, value in values.items() if name != LATENCY_ERROR}
     try:
         varied = config.updated(parameters)
         varied = varied.updated({**assumed(varied, values.get(LATENCY_ERROR, 0.0)), **parameters})
         refuse_endless(varied)
         model = load_model(varied.robot)
-        controller, plant = make_controller(varied, model), make_plant(varied.plant.name or "physics", varied, model)
-        servos, before = Servos.of(varied, model), None
-        fastest = np.minimum(model.velocity_max, varied.joints.velocity or np.inf)
-        for state, command in closed_loop(controller, plant):
-            if (truth := plant.truth) is not None:
-                if state.time >= time + _SAMPLE - 1e-9:
-                    time, tilt = state.time, max(tilt, truth.tilt)
-                if before is not None:
-                    part = servos.load(truth.effort, (truth.q - before) / varied.dt)
-                    worst = int(np.argmax(part))
-                    load, joint = max((load, joint), (float(part[worst]), model.joint_names[worst]))
-                before = truth.q
-            if (problem := controller.problem) is not None and controller.phase.kind is not PhaseKind.STANCE:
-                reached.update(limits_at(command.velocity, problem.lower, problem.upper, fastest, model))
-            if (phase := controller.phase) is not last or controller.finished:
-                double = phase.double
-                if last is not None and last.kind is PhaseKind.SINGLE_SUPPORT and double:
-                    landed.append(last)
-                if truth is not None and double:
-                    stands.append(middle(truth.soles, model)[:2])
-                last = phase
+        plant = make_plant(varied.plant.name or "physics", varied, model)
+        trace = simulate(make_controller(varied, model), plant)
+        if trace.interrupted:
+            raise KeyboardInterrupt  # an interrupted walk has no outcome
+        series = analyse(trace)
+        if (ground := series.ground) is None:
+            raise PlantError(f"the plant '{varied.plant.name}' has no ground truth, by which a walk is judged")
     except DqwalkError as error:
-        return CellOutcome(False, time, len(landed), str(error), tilt, load or None, joint, reached)
-    way = float(np.linalg.norm(np.diff(stands, axis=0), axis=1).sum())
-    upright = controller.finished and tilt < TIPPED
-    reason = shortfall(way, commanded_way(landed)) if upright else f"fell in {controller.phase.name}"
-    return CellOutcome(not reason, time, len(landed), reason, tilt, load or None, joint, reached)
+        return CellOutcome(False, 0.0, 0, str(error))
+    load = most_loaded(trace)
+    fell = "; ".join(trace.notes) or "the robot fell" if ground.fallen or not trace.finished else ""
+    reason = fell or shortfall(ground.way, ground.commanded)
+    steps = sum(not span.double and span.ending is not None for span in series.spans)
+    needed: dict[str, Any] = {"load": load.part, "joint": load.joint} if load else {}
+    reached, tilt = limits_reached(series, acting(trace)[0]), float(np.nanmax(ground.tilt))
+    return CellOutcome(not reason, float(trace.time[-1]), steps, reason, tilt, reached=reached, **needed)
 
 
 def walk_all(
