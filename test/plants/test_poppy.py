@@ -14,8 +14,9 @@ from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
 from dqwalk_ros.config import Config, find_share
 from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.plants.poppy.buses import MIN_SPEED, register_speed
 from dqwalk_ros.plants.poppy.motors import Motor, load_motors, require_bus
-from dqwalk_ros.plants.poppy.plant import MIN_SPEED, PoppyPlant, register_speed
+from dqwalk_ros.plants.poppy.plant import PoppyPlant
 from dqwalk_ros.robot.clearance import Clearance
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ConfigError, PlantError

@@ -11,6 +11,7 @@ import pytest
 from dynamixel_bus import BUSES, LOAD, MOTORS, TEMPERATURE, TYPES, VOLTAGE, FaultyServos, Memory
 from poppy_rig import CONFIG, DT, MAX_AGE, MODEL, Rig
 
+from dqwalk_ros.plants.poppy.buses import open_buses
 from dqwalk_ros.plants.poppy.dynamixel import (
     GAINS,
     GOAL,
@@ -22,7 +23,6 @@ from dqwalk_ros.plants.poppy.dynamixel import (
     open_port,
 )
 from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo
-from dqwalk_ros.plants.poppy.plant import open_buses
 from dqwalk_ros.support.errors import PlantError
 
 KNEE = MOTORS["l_knee_y"].id
@@ -147,13 +147,13 @@ def test_a_replugged_port_is_reopened(rig: Rig) -> None:
 def test_a_port_that_comes_back_under_another_name_is_searched_for(monkeypatch: pytest.MonkeyPatch, port: str) -> None:
     """Adapters that are plugged in again may exchange their names; only a port that is named stays the same."""
     name, opened, memory = "/dev/ttyACM0", [], Memory()
-    monkeypatch.setattr("dqwalk_ros.plants.poppy.plant.find_port", lambda ids: name)
+    monkeypatch.setattr("dqwalk_ros.plants.poppy.buses.find_port", lambda ids: name)
 
     def open_port(asked: str) -> object:
         opened.append(asked)
         return memory._port(memory.servos["lower"])
 
-    monkeypatch.setattr("dqwalk_ros.plants.poppy.plant.open_port", open_port)
+    monkeypatch.setattr("dqwalk_ros.plants.poppy.buses.open_port", open_port)
     own = CONFIG.updated({"poppy.lower_port": port}).poppy
     lower = {motor.name: motor for motor in MOTORS.values() if motor.bus == "lower"}
     (bus,) = open_buses(lower, TYPES, own, memory.clock).values()

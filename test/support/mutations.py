@@ -53,10 +53,9 @@ TARGETS = {
         "plants/test_poppy.py",
     ),
     "dqwalk_ros/plants/poppy/motors.py": ("plants/test_poppy.py",),
-    "dqwalk_ros/plants/poppy/plant.py": (
-        "plants/test_poppy_faults.py",
-        "plants/test_poppy.py",
-        "faults/test_poppy_battery.py",
+    **dict.fromkeys(
+        ("dqwalk_ros/plants/poppy/plant.py", "dqwalk_ros/plants/poppy/buses.py"),
+        ("plants/test_poppy_faults.py", "plants/test_poppy.py", "faults/test_poppy_battery.py"),
     ),
 }
 """Files, and the tests that must detect their mutants. Files with compiled functions are run uncompiled."""

@@ -108,5 +108,5 @@ def driver_node(
 
     monkeypatch.setattr(plant, "open_buses", open_buses)
     one = make("poppy_driver", config, ros=ros)
-    one.node._plant._each = map
+    one.node._plant._buses.each = map
     return one, made[-1]

@@ -11,57 +11,35 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqwalk_ros.config import Config, PoppyConfig, RobotConfig
+from dqwalk_ros.config import Config, RobotConfig
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Plant, checked
-from dqwalk_ros.plants.poppy.dynamixel import (
-    FULL_TORQUE,
-    Clock,
-    DynamixelBus,
-    Identity,
-    Registers,
-    find_port,
-    open_port,
-)
-from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo, EmulatedServos
+from dqwalk_ros.plants.poppy.buses import TRIES, MotorBuses, open_buses
+from dqwalk_ros.plants.poppy.dynamixel import FULL_TORQUE, Clock, DynamixelBus, Registers
 from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
-from dqwalk_ros.plants.poppy.motors import Motor, motors_of, typed
+from dqwalk_ros.plants.poppy.motors import motors_of, typed
 from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
 from dqwalk_ros.robot.limits import JointLimits
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.robot.servos import Drive, Servos, ServoType, load_types
+from dqwalk_ros.robot.servos import Drive, Servos, load_types
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 
 if TYPE_CHECKING:
     from dqwalk_ros.robot.clearance import Clearance
 
-MIN_SPEED = 1.4
-"""Least speed: two units of 0.684 deg/s of the servo's speed register [deg/s]. A speed of less than half a unit is
-rounded to 0, which means unlimited speed."""
 _SLACK = 0.02
 """Tolerance of the largest possible motion between two measurements [rad]: 13 encoder steps of an MX."""
 _REACH = 0.04
 """Longest time of motion at full speed that is accepted as plausible [s]: two periods of the bus."""
-_TRIES = 5
-"""Number of attempts to write or read registers of a motor before an error is reported."""
-_NARROWER = 1.0
-"""Angle by which the limits of a servo may be narrower than those of the table [deg]."""
 _ARRIVAL = 3.0
 """Time in which the joints must reach the first pose after their goals [s]."""
-
-
-def register_speed(speed: float, highest: float) -> float:
-    """Return abs(speed) [deg/s] limited to `MIN_SPEED` and `highest`; `MIN_SPEED` if `speed` is not finite."""
-    return min(max(abs(speed), MIN_SPEED), highest) if math.isfinite(speed) else MIN_SPEED
 
 
 class PoppyPlant(Plant):
@@ -118,22 +96,22 @@ class PoppyPlant(Plant):
         self._model, self._config, self._window, self._clock = model, own, config.servo.window, clock
         self.motors, zero = motors_of(config, model)
         self.names = (*model.joint_names, *(name for name in self.motors if name not in model.joint_names))
-        self._table = [self.motors[name] for name in self.names]
-        self._types = [types[motor.type] for motor in self._table]
+        table = [self.motors[name] for name in self.names]
+        kinds = [types[motor.type] for motor in table]
         n, every = model.n, len(self.names)
         self._zero = np.array([zero.get(name, 0.0) for name in self.names])  # [deg]
-        low, high = np.radians(np.array([motor.limits for motor in self._table]).T - self._zero)
+        low, high = np.radians(np.array([motor.limits for motor in table]).T - self._zero)
         low[:n], high[:n] = np.maximum(low[:n], model.q_min), np.minimum(high[:n], model.q_max)
         self._first = np.clip([*posture, *(model.locked.get(name, 0.0) for name in self.names[n:])], low, high)
-        self._gain = np.where([kind.p_register for kind in self._types], config.servo.p_gain, -1)
-        self._full_error = np.array([1.0 / kind.gain(config.servo.p_gain) for kind in self._types])  # [rad]
-        fastest, stall = np.array([(kind.no_load_speed, kind.stall_torque) for kind in self._types]).T
+        self._gain = np.where([kind.p_register for kind in kinds], config.servo.p_gain, -1)
+        self._full_error = np.array([1.0 / kind.gain(config.servo.p_gain) for kind in kinds])  # [rad]
+        fastest, stall = np.array([(kind.no_load_speed, kind.stall_torque) for kind in kinds]).T
         self._gate = AngleGate(
             self.names, fastest, _SLACK, longest=lambda: _REACH, timeout=lambda: config.plant.command_timeout
         )
-        of_joints = typed(config, self._table[:n])
+        of_joints = typed(config, table[:n])
         drive, self._servos = Drive.of(of_joints, model), Servos.of(of_joints, model)
-        self._direction = np.array([1.0 if motor.direct else -1.0 for motor in self._table[:n]])
+        self._direction = np.array([1.0 if motor.direct else -1.0 for motor in table[:n]])
         stiffness = np.append(drive.stiffness, (stall / self._full_error)[n:])
         if own.dummy:  # emulated servos carry no load
             stiffness[:] = 0.0
@@ -143,10 +121,8 @@ class PoppyPlant(Plant):
         self._law = ServoGoals(self._gate, drive, limits, own.max_lead)
 
         buses = buses if buses is not None else open_buses(self.motors, types, own, clock)
-        place = {(motor.bus, motor.id): k for k, motor in enumerate(self._table)}
-        self.parts = [Part(bus, np.array([place[name, i] for i in bus.ids])) for name, bus in buses.items()]
-        self._pool = ThreadPoolExecutor(len(self.parts))
-        self._each = each if each is not None else self._pool.map
+        self._buses = MotorBuses(dict(zip(self.names, table, strict=True)), kinds, buses, each)
+        self.parts = self._buses.parts
         self._turn = 0
         gate = self._gate  # whose arrays these are, and those of the law
         self.measured = Measured(gate.q, np.zeros(every), gate.at, gate.jumps, np.zeros(every), self._law.runaway)
@@ -159,10 +135,10 @@ class PoppyPlant(Plant):
         self._places = [(k, whole[name]) for k, name in enumerate(self.names) if name in whole]
         self._way = [self._first]
         try:
-            self._identify_motors()
+            self._buses.identify(own.motors)
             self._read_all()
         except BaseException:
-            self._close_buses()
+            self._buses.close()
             raise
 
     # ------------------------------------------------------------------ commands and states
@@ -202,7 +178,7 @@ class PoppyPlant(Plant):
             self._set_goals(u, effort, dt, moving=command is not None)
         if moves or (self._resend and self.active):  # a goal switches the torque on
             self._resend = max(self._resend - 1, 0)
-            list(self._each(self._send_all, self.parts))
+            self._buses.on_each(self._send_all)
         self._time += dt
 
     def _set_goals(self, u: Array, effort: Array | None, dt: float, *, moving: bool) -> None:
@@ -229,17 +205,17 @@ class PoppyPlant(Plant):
             first = turn % 2 and len(unsure)
             part.bus.inspect(int(unsure[turn // 2 % len(unsure)]) if first else turn % len(part.places))
 
-        list(self._each(cycle, self.parts))
+        self._buses.on_each(cycle)
         self._accept_angles()
         if self.measured.runaway.any():
-            list(self._each(self._let_go, self.parts))
+            self._buses.on_each(self._let_go)
         before = set(self.watch.lasting)
         lead = self._full_error if self.ready else np.minimum(self._full_error, self._law.window)
         self.watch.look(self._clock(), self.measured, self.goal if self.active else None, lead, self._gain)
         for k, name in enumerate(self.names):
             if (key := f"blocked/{name}") in self.watch.lasting and key not in before:
                 self._law.relieve(k)
-                self._resend = _TRIES
+                self._resend = TRIES
         if self.active and not self.ready:
             self._check_arrival()
         return self.state
@@ -331,13 +307,13 @@ class PoppyPlant(Plant):
         self._law.end()
         self.watch.forget()
         self._gate.forgive()
-        for _ in range(_TRIES):  # earlier faults may have ended
+        for _ in range(TRIES):  # earlier faults may have ended
             self.read()
             if not (faults := self.watch.faults):
                 break
         else:
             raise PlantError("; ".join(faults.values()))
-        self._identify_motors()
+        self._buses.identify(self._config.motors)
         self._find_way()
         self._law.window = self._config.max_lead
         self._law.begin()
@@ -351,15 +327,14 @@ class PoppyPlant(Plant):
             self._send(part, left)
 
         def prepared(part: Part, i: int, registers: Registers) -> bool:
-            k = part.places[i]
-            goal = part.bus.types[i].position(self._table[k].servo(degrees[k]))
-            right_gain = self._gain[k] in (registers.gain, -1)
+            goal = self._buses.position(part, i, degrees)
+            right_gain = self._gain[part.places[i]] in (registers.gain, -1)
             return registers.torque_limit == FULL_TORQUE and right_gain and registers.goal == goal
 
         text = "{} cannot be set up"
-        if not (bad := self._confirm(prepare, prepared)):
+        if not (bad := self._buses.confirm(prepare, prepared)):
             text = "the torque of {} did not switch on"
-            bad = self._confirm(lambda part, left: part.bus.write_torque(True, left), lambda _, __, r: r.torque)
+            bad = self._buses.confirm(lambda part, left: part.bus.write_torque(True, left), lambda _, __, r: r.torque)
         if bad:
             on = self._switch_off()  # also what the goals have switched on
             then = f"that of {', '.join(on)} may be on: switch the power off" if on else "all torque is off"
@@ -397,7 +372,7 @@ class PoppyPlant(Plant):
         self.ready = False
         self._law.end()
         self.watch.forget()
-        return self._confirm(lambda part, left: part.bus.write_torque(False, left), lambda _, __, r: not r.torque)
+        return self._buses.switch_off()
 
     def close(self) -> None:
         """Hold the goals, or switch the torque off if `torque_off_at_end` is set; then close the buses in any case.
@@ -415,62 +390,14 @@ class PoppyPlant(Plant):
                 for part in self.parts:
                     self._send_all(part)
         finally:
-            self._close_buses()
-
-    def _close_buses(self) -> None:
-        self._pool.shutdown()
-        for part in self.parts:
-            part.bus.close()
-
-    def _confirm(
-        self, write: Callable[[Part, list[int]], None], confirms: Callable[[Part, int, Registers], bool]
-    ) -> list[str]:
-        """Repeat a write until all motors confirm it; return the joints of those that do not."""
-
-        def one_bus(part: Part) -> list[str]:
-            left = list(range(len(part.places)))
-            for _ in range(_TRIES):
-                write(part, left)
-                left = [i for i in left if (found := part.bus.inspect(i)) is None or not confirms(part, i, found)]
-                if not left:
-                    break
-            return [self.names[part.places[i]] for i in left]
-
-        return [name for names in self._each(one_bus, self.parts) for name in names]
+            self._buses.close()
 
     # ------------------------------------------------------------------ the buses
 
-    def _identify_motors(self) -> None:
-        """Check what each motor is, by its permanent registers.
-
-        Raises
-        ------
-        PlantError
-            If a motor does not answer, or is not the one of the table; the message names it.
-        """
-        wrong, silent = [], []
-        for part in self.parts:
-            for i, (motor, kind) in enumerate((self._table[k], self._types[k]) for k in part.places):
-                answers = (part.bus.identity(i) for _ in range(_TRIES))
-                found = next((answer for answer in answers if answer is not None), None)
-                if found is None:
-                    silent.append(f"{motor.name} ({motor.id}, {part.bus.name} bus) {part.bus.cause[i]}")
-                    if len(silent) >= _TRIES:  # enough for the message
-                        break
-                elif text := _difference(found, motor, kind):
-                    wrong.append(f"{motor.name} ({motor.id}) {text}")
-        if silent:
-            raise PlantError(
-                f"the motors do not answer: {', '.join(silent)}; is the robot on, and are both buses plugged in? "
-                "(poppy.dummy:=true tries the driver without a robot)"
-            )
-        if wrong:
-            raise PlantError(f"the motors are not those of the table '{self._config.motors}': {', '.join(wrong)}")
-
     def _read_all(self) -> None:
         """Read all registers and angles once."""
-        self._confirm(lambda part, left: None, lambda part, i, found: True)
-        for _ in range(_TRIES + JUMPS):
+        self._buses.confirm(lambda part, left: None, lambda part, i, found: True)
+        for _ in range(TRIES + JUMPS):
             self.read()
             if self._gate.known:
                 return
@@ -479,13 +406,8 @@ class PoppyPlant(Plant):
 
     def _send(self, part: Part, places: list[int]) -> None:
         """Send goals and speeds to the motors of a bus at `places`."""
-        words = {}
-        for i in places:
-            k = part.places[i]
-            angle = math.degrees(self.goal[k]) + self._zero[k]
-            speed = register_speed(math.degrees(self._speed[k]), self._config.max_speed)
-            words[i] = (self._table[k].servo(angle), speed)
-        part.bus.write_goals(words)
+        angle, speed = np.degrees(self.goal) + self._zero, np.degrees(self._speed)
+        self._buses.send(part, places, angle, speed, self._config.max_speed)
 
     def _send_all(self, part: Part) -> None:
         """Send goals and speeds to the motors of a bus, but for those whose torque is off."""
@@ -499,10 +421,8 @@ class PoppyPlant(Plant):
     def _accept_angles(self) -> None:
         """Accept the new angles that a joint can have reached since its last accepted angle."""
         m = self.measured
-        at, degrees = np.empty(len(self.names)), np.empty(len(self.names))
-        for part in self.parts:
-            at[part.places], m.load[part.places] = part.bus.at, part.bus.load
-            degrees[part.places] = [self._table[k].user(x) for k, x in zip(part.places, part.bus.position, strict=True)]
+        at = np.empty(len(self.names))
+        degrees = self._buses.read(at, m.load)
         q = np.radians(degrees - self._zero)
         before, then = m.q.copy(), m.at.copy()
         taken = self._law.measure(q, at)
@@ -516,66 +436,3 @@ def _of_all_joints(robot: RobotConfig) -> tuple[Clearance, dict[str, int]]:
 
     model = load_model(robot)
     return Clearance(model), {name: k for k, name in enumerate(model.joint_names)}
-
-
-def _difference(found: Identity, motor: Motor, kind: ServoType) -> str:
-    """Return how a motor differs from the one of the table; empty if it does not."""
-    if found.model != kind.model:
-        return f"is model {found.model}, not an {motor.type}"
-    if found.id != motor.id:
-        return f"says that its id is {found.id}"
-    if found.low >= found.high:
-        return (
-            f"does not turn to positions (wheel or multi-turn mode, its limits are {found.low} and {found.high}): "
-            f"set them to 0 and {kind.positions - 1}"
-        )
-    low, high = kind.degrees(found.low), kind.degrees(found.high)
-    if low > motor.raw[0] + _NARROWER or high < motor.raw[1] - _NARROWER:
-        return (
-            f"has the angle limits {low:.0f} and {high:.0f} deg, narrower than 'raw' [{motor.raw[0]:g}, "
-            f"{motor.raw[1]:g}] of the table"
-        )
-    return ""
-
-
-def _opened(port: str, ids: Sequence[int]) -> Any:
-    """Return a port by its name or, for ``auto``, the one of these servos, which may have another name each time."""
-    return open_port(find_port(ids) if port == "auto" else port)
-
-
-def open_buses(
-    motors: Mapping[str, Motor], types: Mapping[str, ServoType], config: PoppyConfig, clock: Clock
-) -> dict[str, DynamixelBus]:
-    """Open the buses of a table of motors, or emulated buses if `config.dummy` is set.
-
-    Returns
-    -------
-    dict of str to DynamixelBus
-        By the name of the bus.
-
-    Raises
-    ------
-    PlantError
-        If dynamixel_sdk is missing, or a port cannot be opened.
-    """
-    buses: dict[str, DynamixelBus] = {}
-    named = {"lower": config.lower_port, "upper": config.upper_port}
-    for name in sorted({motor.bus for motor in motors.values()}):
-        own = [motor for motor in motors.values() if motor.bus == name]
-        ids, kinds = [motor.id for motor in own], [types[motor.type] for motor in own]
-        port = named.get(name, "auto")
-        try:
-            if config.dummy:
-                servos = EmulatedServos([EmulatedServo(i, kind) for i, kind in zip(ids, kinds, strict=True)], clock)
-                opened: Callable[[], Any] = partial(EmulatedPort, servos)
-            else:
-                opened = partial(_opened, port, ids)
-            buses[name] = DynamixelBus(name, opened, ids, kinds, sync_read=config.sync_read, clock=clock)
-        except (OSError, PlantError) as error:
-            for bus in buses.values():
-                bus.close()
-            raise PlantError(
-                f"the {name} bus cannot be opened (port {port}): {error}; is it plugged in, and not used by another "
-                "program? (poppy.dummy:=true tries the driver without a robot)"
-            ) from error
-    return buses
