@@ -288,8 +288,8 @@ class _Conversion:
         hang = [self._names[body] for body in count if self._hangs(body)]
         if len(hang) > 1 and self._hangs(root):
             raise ModelError(
-                f"'{self._path}': the bodies {', '.join(hang)} hang on the world by joints of their own, so the link "
-                "that carries the legs, with its mass, is not in the file: put them into one <body> with a "
+                f"'{self._path}': the bodies {', '.join(hang)} are attached to the world by joints of their own, so "
+                "the link that carries the legs, with its mass, is not in the file: put them into one <body> with a "
                 "<freejoint/> and an <inertial>"
             )
         others = [self._names[body] for body in count if body != root]

@@ -32,7 +32,7 @@ from dqwalk_ros.trace import Trace
 from dqwalk_ros.walks.table import make_controller
 
 _LOADED = 0.01
-"""Least part of a torque-speed line that is reported: joints without torque limit need less."""
+"""Least part of a torque-speed curve that is reported: joints without torque limit need less."""
 _SHORT = 0.9
 """Fraction of the planned distance below which a walk is reported as shorter."""
 _EVERY = 10
@@ -68,7 +68,7 @@ class Trial:
     causes : tuple of Finding
         Causes of a fall, the earliest first.
     load : Load or None
-        The servo that is closest to its torque-speed line, in physics.
+        The servo that is closest to its torque-speed curve, in physics.
     touching : str
         Which links of one leg meet those of the other, which no engine simulates; empty if none does, or if MuJoCo
         cannot read the shapes.
@@ -255,7 +255,9 @@ def too_much(config: Config, model: RobotModel) -> str:
         name, most = model.joint_names[fast], float(model.velocity_max[fast])
         return f"its steps need {speed[fast]:.2f} rad/s of {name}, whose limit is {most:.2f} rad/s (predicted)"
     if loads[loaded] > 1.0:
-        return f"its steps need {loads[loaded]:.2f} of the torque-speed line of {model.joint_names[loaded]} (predicted)"
+        return (
+            f"its steps need {loads[loaded]:.2f} of the torque-speed curve of {model.joint_names[loaded]} (predicted)"
+        )
     return ""
 
 

@@ -43,7 +43,7 @@ writes to the folder of --out:
   robot.png        the robot in its posture, soles, CoM, and forward direction
   adopt.json       all results
 
-exit code: 0 the standing walk walks; 1 it was adopted but does not walk; 2 it cannot be adopted, with the reason
+exit code: 0 the standing walk walks, or the dynamic walk is OK; 1 adopted, but does not walk; 2 it cannot be adopted
 
 examples:
   dqwalk adopt my_robot.urdf
@@ -93,7 +93,7 @@ def adopt(
     quiet: bool,
     changes: tuple[str, ...],
 ) -> int:
-    """Make a configuration that walks from a URDF, xacro or MJCF."""
+    """Configure another biped from its URDF, xacro or MJCF."""
     from dqwalk_ros import adopt as adopting
     from dqwalk_ros.adopt.description import description_in
     from dqwalk_ros.adopt.picture import draw

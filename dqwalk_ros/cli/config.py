@@ -109,7 +109,7 @@ def _capsules(made: Config) -> int:
         for mesh, reason in shapes.missing.items():
             print(f"# without {mesh}: {reason}")
         if not found:
-            raise ConfigError("the arms meet no link whose shape can be read: collision.pairs are not needed")
+            raise ConfigError("the arms can meet no link whose shape can be read: collision.pairs is not needed")
         print("# what the arms can meet, and in what part of their postures they do\ncollision.pairs:")
         for pair, part in found.items():
             print(f'  - "{pair}"  # {100.0 * part:.1f} %')

@@ -36,7 +36,7 @@ examples:
   dqwalk doctor --plant poppy                              a Poppy whose poppy_driver runs
   dqwalk doctor --plant ros2_control --config my_robot.yaml
   dqwalk doctor --plant poppy --params identified.yaml     with the parameters of `dqwalk identify`
-  dqwalk doctor --plant poppy --by-hand                    torque off: is each joint the one of the model, and its sign?
+  dqwalk doctor --plant poppy --by-hand                    torque off: move each joint by hand, to check names and signs
   dqwalk doctor --offline --plant ros2_control --config my_robot.yaml --controllers controllers.yaml
   dqwalk doctor --offline                                  the configuration and its robot only
 """)
@@ -47,10 +47,10 @@ examples:
 @click.option(
     "--by-hand",
     is_flag=True,
-    help="Name each joint that you move, and where it moved by the model, for up to five minutes.",
+    help="Name each joint that you move by hand, and how it moved by the model, for up to five minutes.",
 )
 @click.option("--controllers", metavar="FILE", type=Place(), default=None,
-              help="Parameter file of the robot's controller_manager, to be compared.")  # fmt: skip
+              help="Also compare with this parameter file of the robot's controller_manager.")  # fmt: skip
 @click.option("--offline", is_flag=True, help="Check the configuration only.")
 def doctor(
     setup: Setup,
@@ -60,10 +60,10 @@ def doctor(
     controllers: Path | None,
     offline: bool,
 ) -> int:
-    """Check a robot that stands, before its first step.
+    """Check a standing robot before its first step.
 
-    Listens to its topics without moving anything, and prints the result of each check; for a check that failed, also
-    what to do. docs/hardware.md leads from a boxed robot to a first step. Exit code 1 if a check failed.
+    Listens to its topics without moving anything, and prints the result of each check; if a check failed, also what to
+    do. docs/hardware.md takes a robot from the box to its first step. Exit code 1 if a check failed.
     """
     from dqwalk_ros.adopt.check import check, require_usable
     from dqwalk_ros.plants.robot_output import differences

@@ -31,10 +31,10 @@ a file of rows is a list such as
       params: [rough]                 # as of --params
       cmd_vel: ["0.1,0,0.25,8"]       # as of --cmd-vel
       hands: 2.0                      # each hand gets a random pose every 2 s; needs params: [arms]
-      course: 20                      # another random course of 20 s for each seed, with a `push` in each of its legs
+      course: 20                      # another random course of 20 s for each seed, with a `push` during each velocity
       seeds: 20                       # walks with sensors.seed 1 to 20; first: 101 for 101 to 120
-    - {name: pushes of 0.50 N s, config: poppy_dynamic, push: 0.5}   # 8 directions, 2 feet, 4 moments of a step
-    - {name: punches, config: poppy_dynamic, push: 0.3, anywhere: true}   # one per seed: random link, direction, moment
+    - {name: pushes of 0.50 N s, config: poppy_dynamic, push: 0.5}   # 8 directions, 2 feet, 4 instants of a step
+    - {name: punches, config: poppy_dynamic, push: 0.3, anywhere: true}   # per seed: random link, direction, instant
 
 writes to the folder of --out:
   walks.jsonl             a line per finished walk; an interrupted run continues from here
@@ -44,7 +44,7 @@ examples:
   dqwalk evidence ground                                         110 walks on uneven ground in each engine
   dqwalk evidence ground --config adopted/dynamic.yaml           the same for another robot, in proportion to its legs
   dqwalk evidence arms                                           free arms, loads, and random poses of the hands
-  dqwalk evidence --sample 2                                     a sample: two walks of each row in each engine
+  dqwalk evidence --sample 2                                     two walks of each row in each engine
   dqwalk evidence --engine physics --jobs 8                      without Drake
   dqwalk evidence --engine drake --row '5 m MX*'                 some rows only
   dqwalk evidence mine.yaml --scheduler tcp://127.0.0.1:8786
@@ -85,10 +85,10 @@ examples:
 def evidence(
     path: str, config: str | None, engines: tuple[str, ...], wanted: tuple[str, ...], sample: int, many: Many
 ) -> int:
-    """Simulate what the tables of results claim, in two engines.
+    """Reproduce the tables of results, in two physics engines.
 
     Prints for every row and engine, MuJoCo and Drake, how many walks stood and how many reports are OK, each with the
-    chance that this proves at least (95 % confidence), and the worst figures. Needs: pip install mujoco drake
+    success rate that this proves (95 % confidence), and the worst numbers. Needs: pip install mujoco drake
     """
     from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.cli.results import prepare_study, write_study
@@ -163,7 +163,11 @@ def table(done: Sequence[tuple[dict[str, Any], WalkOutcome]], ceilings: Mapping[
         "touching",
     )
     text = aligned(rows, head, right=range(4, 10))
-    lines = [text, "", "worst of all walks, the speed is the median; >= is the chance proved with 95 % confidence;"]
+    lines = [
+        text,
+        "",
+        "worst of all walks, the speed is the median; >= is the success rate proved with 95 % confidence;",
+    ]
     lines += [
         "ceiling: the speed that the servos allow in steady steps; of pushes, what a pendulum on the soles catches"
     ]

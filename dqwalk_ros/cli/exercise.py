@@ -30,7 +30,7 @@ writes to the folder of --out:
   bag/                 the exercise as a rosbag2 (MCAP), for `dqwalk identify`, and for `dqwalk view` as any walk
 
 examples:
-  dqwalk exercise --out exercise                        Poppy as it is built, in MuJoCo
+  dqwalk exercise --out exercise                        the as-built Poppy, in MuJoCo
   dqwalk exercise --plant poppy --out exercise          the real Poppy, through ROS 2; suspend it first
   dqwalk exercise --ros --out exercise                  MuJoCo through ROS 2
   dqwalk exercise --config my_robot.yaml --plant physics --cycles 2

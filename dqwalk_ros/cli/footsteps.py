@@ -32,7 +32,7 @@ examples:
 @click.option("--support", type=click.Choice(["left", "right"]), default="left", help="Support foot.")
 @set_option
 def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
-    """Show which steps the legs of a robot reach.
+    """Show which steps the legs of a robot can reach.
 
     A footprint is moved to the nearest one that can be reached with both soles flat and the centre of mass over either
     of them. The table shows the result for steps ahead, to the side and with a turn.

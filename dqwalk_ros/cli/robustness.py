@@ -32,7 +32,7 @@ writes to the folder of --out:
   robustness.png          the matrix: which cells stood, and after how many steps the others fell
 
 examples:
-  dqwalk robustness --jobs 4 --set qp.solver=daqp          the same answers in less time (pip install daqp)
+  dqwalk robustness --jobs 4 --set qp.solver=daqp          the same results in less time (pip install daqp)
   dqwalk robustness --sample 40
   dqwalk robustness --axis servo.stiffness=60 --axis servo.latency=0,0.06 --steps 4
   dqwalk robustness --axis latency_error=-0.02,0.02 --sample 72      the controller assumes a wrong latency
@@ -112,7 +112,7 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
     loads = [(end.load, end.joint) for _, end in done if end.stood and end.load is not None]
     if loads:
         most, joint = max(loads)
-        lines.append(f"the servos need at most {100.0 * most:.0f} % of their torque-speed lines ({joint})")
+        lines.append(f"the servos need at most {100.0 * most:.0f} % of their torque-speed curves ({joint})")
     reached = Counter[str]()
     for _, end in done:
         reached.update(end.reached if end.stood else {})

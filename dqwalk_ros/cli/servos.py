@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 @command("""
 columns:
-  one for each joint of a leg: the largest speed [m/s] that its torque-speed line allows by the best of several step
+  one for each joint of a leg: the largest speed [m/s] that its torque-speed curve allows by the best of several step
             durations and heights of the CoM, if all other joints are strong enough; > where the reach of the legs ends
             first, < where less was not tried
-  all       the largest speed that all of them allow by the same step, and the joint that binds
+  all       the largest speed that all joints allow with the same step, and the limiting joint
   height    largest height of a step [mm], and slope [deg], at the step length and duration of ROBOT
-  push      largest push ahead [N s] that steps of such lengths catch
-  rms       largest RMS torque of a joint at the speed of ROBOT, as a part of its stall torque: above 0.2 or so small
-            servos get hot
+  push      largest push ahead [N s] that recovery steps of such lengths catch
+  rms       largest RMS torque of a joint at the speed of ROBOT, as a part of its stall torque: above about 0.2
+            small servos get hot
 
-The model has no servo that lags, no backlash and no errors: leave a reserve. Every type has the voltage of its row, and
+The model has no lag, no backlash and no errors: keep a reserve. Every type has the voltage of its row, and
 the robot keeps its mass. `config/servos.yaml` has the data of the types with their sources.
 
 examples:

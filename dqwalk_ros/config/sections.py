@@ -118,8 +118,10 @@ class DspConfig:
     flat_feet: bool = parameter(True, "keep the end sole parallel to the ground; false: only its tip, the literal (U8)")
     eta_tip: float = parameter(10.0, "rate of (U9); larger: faster approach to the front plane", "1/s", 1e-3, 1e4)
     eta_back: float = parameter(20.0, "rate of (U10); larger: faster approach to the back plane", "1/s", 1e-3, 1e4)
-    stall_rate: float = parameter(1e-4, "fall of the error per stall_window that ends the phase", "m", 1e-9, 1.0)
-    stall_window: float = parameter(1.0, "time over which the error's fall is measured", "s", 0.01, 1e3)
+    stall_rate: float = parameter(
+        1e-4, "smallest decrease of the error per stall_window; below it the phase ends", "m", 1e-9, 1.0
+    )
+    stall_window: float = parameter(1.0, "time over which the decrease of the error is measured", "s", 0.01, 1e3)
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ class StandingConfig:
         0.02, "largest speed at which a violation is corrected; larger: more abrupt", "m/s", 1e-4, 1e3, live=True
     )
     transfer_duration: float = parameter(
-        1.5, "time from foot to foot; larger: slower steps", "s", 0.05, 60.0, live=True
+        1.5, "duration of the CoM transfer from foot to foot; larger: slower steps", "s", 0.05, 60.0, live=True
     )
     swing_duration: float = parameter(1.5, "duration of a swing; larger: slower steps", "s", 0.05, 60.0, live=True)
     com_threshold: float = parameter(0.003, "CoM error that ends the phase; larger: earlier", "m", 1e-5, 0.1, live=True)
@@ -158,13 +160,15 @@ class StandingConfig:
         live=True,
     )
     saturation: float = parameter(0.03, "limit of the CoM error; larger: faster correction", "m", 1e-4, 1.0, live=True)
-    com_weight: float = parameter(0.3, "weight of the CoM in single support; larger: closer", "", 0.0, 1e3, live=True)
-    swing_weight: float = parameter(10.0, "weight of the swing foot's path; larger: closer", "", 1e-3, 1e4, live=True)
+    com_weight: float = parameter(0.3, "weight of the CoM on one foot; larger: closer to it", "", 0.0, 1e3, live=True)
+    swing_weight: float = parameter(
+        10.0, "weight of the swing foot's path; larger: closer to it", "", 1e-3, 1e4, live=True
+    )
     swing_rate: float = parameter(10.0, "convergence to the swing path; larger: faster", "1/s", 0.1, 1e3, live=True)
     lever: float = parameter(0.2, "length that weights angles; larger: orientation counts more", "m/rad", 1e-3, 10.0)
     balance: float = parameter(0.5, "gain of the CoM's feedback; larger: stiffer; 0: none", "", 0.0, 10.0, live=True)
     pressure_margin: float = parameter(
-        0.004, "least distance of the commanded CoP from the edges; larger: less torque", "m", 0.0, 0.1, live=True
+        0.004, "smallest distance of the commanded CoP from the edges; larger: less torque", "m", 0.0, 0.1, live=True
     )
     sole_gap: float = parameter(
         0.004, "least lateral gap of the soles; larger: further apart", "m", 0.0, 0.2, live=True
@@ -186,13 +190,13 @@ class DynamicConfig:
     )
     aim_inside: float = parameter(0.0, "offset of the zero-moment point towards the other foot", "m", -0.05, 0.05)
     roll: float = parameter(
-        0.0, "half the way of the pressure along a sole, per step length; larger: faster walk", "", 0.0, 1.0
+        0.0, "half the travel of the CoP along a sole, per step length; larger: faster walk", "", 0.0, 1.0
     )
     quicken: float = parameter(
         0.0, "time by which a step of gait.most_length is shorter than one on the spot; larger: faster", "s", 0.0, 1.0
     )
     land_late: float = parameter(
-        0.0, "time after the planned landing at which a swing foot is down; larger: touches later", "s", 0.0, 0.2
+        0.0, "time after the planned touchdown at which the swing path ends; larger: later", "s", 0.0, 0.2
     )
     side_frequency: float = parameter(1.0, "lateral over model frequency; larger: faster sway", "", 0.5, 1.5)
     com_weight: float = parameter(20.0, "weight of the CoM's path; larger: followed more closely", "", 1e-3, 1e4)
@@ -207,8 +211,10 @@ class DynamicConfig:
         0.0, "weight of a trunk that does not pitch, nor roll while a push tips the sole; 0: it swings", "", 0.0, 1e4
     )
     catch: bool = parameter(True, "adjust time and place of a step to the measured divergent component of motion")
-    catch_margin: float = parameter(0.012, "margin of the ankle's pressure; larger: earlier steps", "m", 0.0, 0.1)
-    catch_beyond: float = parameter(0.01, "error at landing that adjusts a step; larger: fewer", "m", 0.0, 1.0)
+    catch_margin: float = parameter(0.012, "CoP margin of step adjustment; larger: earlier steps", "m", 0.0, 0.1)
+    catch_beyond: float = parameter(
+        0.01, "error predicted at landing that adjusts a step; larger: fewer", "m", 0.0, 1.0
+    )
     catch_length: float = parameter(0.1, "largest adjustment of a step ahead; larger: more effect", "m", 0.0, 0.5)
     catch_side: float = parameter(0.0, "largest lateral adjustment of a step; 0 without ankle roll", "m", 0.0, 0.2)
     shortest_step: float = parameter(0.26, "least duration of an adjusted swing; smaller: earlier", "s", 0.05, 10.0)
@@ -246,7 +252,7 @@ class CollisionConfig:
     margin: float = parameter(0.005, "distance kept between the capsules; larger: safer", "m", 0.0, 0.5)
     eta: float = parameter(5.0, "rate of the distances; larger: faster approach", "1/s", 1e-3, 1e4)
     near: float = parameter(
-        0.025, "distance beyond the margin from which on a pair costs no row; larger: earlier", "m", 1e-3, 10.0
+        0.025, "distance above the margin below which a pair has a row; larger: earlier", "m", 1e-3, 10.0
     )
     recovery: float = parameter(0.05, "largest speed at which a violation is corrected", "m/s", 1e-4, 1e3)
 
@@ -268,11 +274,11 @@ class ArmsConfig:
         0.0, "length that weights a hand's orientation; 0: only its position counts", "m/rad", 0.0, 10.0
     )
     joint_speed: float = parameter(
-        1.0, "largest speed of a joint of an arm; larger: quicker, it may topple the robot", "rad/s", 0.01, 100.0
+        1.0, "largest speed of a joint of an arm; larger: quicker, but may topple the robot", "rad/s", 0.01, 100.0
     )
     hand_speed: float = parameter(0.2, "largest speed at which an error of a hand is corrected", "m/s", 0.001, 10.0)
     timeout: float = parameter(
-        0.0, "time after the last command from which on the posture is held again; 0: the command is", "s", 0.0, 1e4
+        0.0, "time after the last command until an arm returns to the posture; 0: never", "s", 0.0, 1e4
     )
 
 
@@ -312,13 +318,13 @@ class ServoConfig:
     rate: float = parameter(0.0, "rate at which positions are written; 0: every period", "Hz", 0.0, 1e4)
     latency: float = parameter(0.0, "delay from writing a position to its effect in the simulation", "s", 0.0, 0.5)
     window: float = parameter(
-        0.15, "largest distance of goal and expected angle; smaller: yields more, larger: more torque", "rad", 1e-3, 3.0
+        0.15, "goal window: largest distance of goal and predicted angle; smaller: more compliant", "rad", 1e-3, 3.0
     )
     assumed_stiffness: float = parameter(
         60.0, "stiffness that converts torques to position offsets; 0: no feedforward", "N m/rad", 0.0, 1e6
     )
     assumed_damping: float = parameter(
-        0.0, "damping assumed, divided by the stiffness; above the true one the robot falls", "s", 0.0, 0.2
+        0.0, "assumed damping, divided by the stiffness; above the true one the robot falls", "s", 0.0, 0.2
     )
     assumed_lead: float = parameter(
         0.0, "time by which goals are ahead where torques are fed forward; larger: less lag", "s", 0.0, 0.2
@@ -413,7 +419,7 @@ class PlantConfig:
         "each foot has a force sensor: its load is that of left_foot_wrench and right_foot_wrench; not in lockstep",
     )
     command_timeout: float = parameter(
-        0.1, "without a command for this long the plant stops", "s", 0.0, 10.0, live=True
+        0.1, "time without a command after which the plant holds", "s", 0.0, 10.0, live=True
     )
 
 
@@ -477,7 +483,7 @@ class NodeConfig:
 
     autostart: bool = parameter(True, "walk as soon as the first state arrives; false: wait for the service ~/start")
     exit_when_done: bool = parameter(False, "exit when the walk is over: code 0 if it finished, 1 if it failed")
-    end_with_parent: bool = parameter(False, "end when the process that started the node ends, as ros2 launch (Linux)")
+    end_with_parent: bool = parameter(False, "end with the process that started the node, such as ros2 launch (Linux)")
     wait_for_recorder: bool = parameter(False, "the walk begins, and is judged, only once a recorder receives it")
     wait_for_monitor: bool = parameter(
         False, "the controller answers the first state only when a phase_monitor is present"
@@ -569,10 +575,10 @@ class WholeBodyConfig:
 class SafetyConfig:
     """Limits at which a node refuses a state or ends the walk (docs/faults.md)."""
 
-    outside: float = parameter(0.1, "distance outside the limits that refuses a state", "rad", 0.0, 1.0)
+    outside: float = parameter(0.1, "distance outside the limits beyond which a state is refused", "rad", 0.0, 1.0)
     tilt: float = parameter(0.5, "pelvis inclination (plant.imu) that counts as a fall", "rad", 0.1, 1.5)
     sole_tilt: float = parameter(0.2, "inclination of the base sole that ends the walk", "rad", 0.02, 1.5)
-    contradiction: float = parameter(0.25, "motion error of joint or vertical that ends the walk", "rad", 0.01, 3.0)
+    contradiction: float = parameter(0.25, "error of a measured motion that ends the walk", "rad", 0.01, 3.0)
     jumps: int = parameter(3, "consecutive impossible measurements that end the walk", "", 1, 1000)
     failures: int = parameter(10, "consecutive infeasible QPs that end the walk", "", 1, 1000)
 
@@ -600,11 +606,11 @@ class PoppyConfig:
         0.2, "servo.window on the way to the first posture; larger: more torque", "rad", 0.01, 1.0
     )
     hot: float = parameter(
-        65.0, "motor temperature above which the robot holds still; 5 below it the walk is to end", "degC", 30.0, 80.0
+        65.0, "motor temperature above which the robot holds still; the walk ends 5 below it", "degC", 30.0, 80.0
     )
     low_voltage: float = parameter(
         10.0,
-        "supply voltage below which the robot holds still; 0.5 above it the walk is to end; 0: not checked",
+        "supply voltage below which the robot holds still; the walk ends 0.5 above it; 0: not checked",
         "V",
         0.0,
         14.0,

@@ -134,7 +134,7 @@ class DriveWatch:
         out = []
         if self.delay > _DELAYED:
             more = f"add {1e3 * self.delay:.0f} ms to servo.assumed_latency"
-            out.append(f"the drive is {1e3 * self.delay:.0f} ms later than servo.assumed_* say; {more}")
+            out.append(f"the drive is {1e3 * self.delay:.0f} ms later than servo.assumed_* state; {more}")
         if (ratio := self.stiffness / self._reference) < _SAGGED:
             out.append(f"the servos have {100.0 * ratio:.0f} % of the stiffness of the beginning")
         return out

@@ -265,7 +265,7 @@ def build(
         raise PlantError(f"MuJoCo refuses the robot: {error}") from error
     if c.contact_stiffness > 0.0:
         if c.friction < _LEAST_FRICTION:
-            raise PlantError(f"MuJoCo's contact has a stated stiffness only with physics.friction >= {_LEAST_FRICTION}")
+            raise PlantError(f"physics.contact_stiffness needs, in MuJoCo, physics.friction >= {_LEAST_FRICTION}")
         _set_contact(mj, mj.body(model.soles[Foot.LEFT].frame).id, c.contact_stiffness, 2.0 * c.contact_time)
     return mj
 

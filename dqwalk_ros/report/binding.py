@@ -1,4 +1,4 @@
-"""What binds a walk: the joint closest to its servo's torque-speed line, and the limits at which commands are."""
+"""What binds a walk: the joint closest to its servo's torque-speed curve, and the limits at which commands are."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _AT_LIMIT = 1e-6
 
 @dataclass(frozen=True)
 class Load:
-    """The largest part of a torque-speed line that a walk needs.
+    """The largest part of a torque-speed curve that a walk needs.
 
     Attributes
     ----------
@@ -40,11 +40,11 @@ class Load:
     time: float
 
     def __str__(self) -> str:
-        return f"{self.joint} needs {100.0 * self.part:.0f} % of its torque-speed line at {self.time:.2f} s"
+        return f"{self.joint} needs {100.0 * self.part:.0f} % of its torque-speed curve at {self.time:.2f} s"
 
 
 def most_loaded(trace: Trace) -> Load | None:
-    """Return the joint whose servo is closest to its torque-speed line; None if torques were not recorded.
+    """Return the joint whose servo is closest to its torque-speed curve; None if torques were not recorded.
 
     A torque is the mean of the period before its state, and so is the velocity that is compared with it.
     """

@@ -346,7 +346,7 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     named = {"pelvis": config.pelvis, "left_sole": feet[Foot.LEFT], "right_sole": feet[Foot.RIGHT], "imu": imu}
     for key, name in named.items():
         if name not in urdf.links:
-            raise ModelError(f"{urdf.source}: robot.{key} names the link '{name}', which is not there or was dropped")
+            raise ModelError(f"{urdf.source}: robot.{key} names the link '{name}', which is missing or was dropped")
     tree = _tree(urdf)
     frames, mounted = tree["frames"], imu
     if any(config.imu_rpy):
@@ -382,7 +382,7 @@ def _payload(config: RobotConfig, urdf: Urdf) -> dict[str, tuple[str, float]]:
         if not 0.0 < mass < LARGEST:
             raise ModelError(f"robot.payload has '{entry}'; an entry is LINK=MASS in kg")
         if link not in urdf.links:
-            raise ModelError(f"{urdf.source}: robot.payload names the link '{link}', which is not there or was dropped")
+            raise ModelError(f"{urdf.source}: robot.payload names the link '{link}', which is missing or was dropped")
         if f"{link}_payload" in loads:
             raise ModelError(f"robot.payload names the link '{link}' twice")
         loads[f"{link}_payload"] = link, mass

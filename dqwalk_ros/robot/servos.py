@@ -174,7 +174,7 @@ class Servos:
         return out
 
     def load(self, effort: Array, velocity: Array) -> Array:
-        """Return which part of its torque-speed line a torque at a velocity needs, shape (..., n); 1: there is no more.
+        """Return the part of its torque-speed curve that a torque at a velocity needs, shape (..., n); 1: all.
 
         Parameters
         ----------

@@ -137,7 +137,7 @@ def _parsed(data: bytes | str, source: str) -> ElementTree.Element:
         line, parent, element = parser.CurrentLineNumber, stack[-1], None
         where = f"{source}, line {line}: <{tag[:80]}>"
         if len(stack) > _DEEPEST:
-            raise ModelError(f"{where} lies too deep for a URDF")
+            raise ModelError(f"{where} is nested too deeply for a URDF")
         if any(len(word) > _LONGEST for word in attributes.values()):
             raise ModelError(f"{where} has an attribute of more than {_LONGEST} characters")
         if parent is document and tag != "robot":

@@ -64,7 +64,7 @@ class CellOutcome(msgspec.Struct, frozen=True):
     tilt : float or None
         Largest tilt of the loaded sole [rad].
     load : float or None
-        Largest part of its torque-speed line that a servo needed; 1: it cannot do more.
+        Largest part of its torque-speed curve that a servo needed; 1: it cannot do more.
     joint : str
         The joint of that servo.
     reached : mapping of str to int

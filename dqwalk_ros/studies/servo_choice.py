@@ -1,4 +1,4 @@
-"""Which servo a biped needs: speed, height of steps, slope and push that the torque-speed line of a servo allows.
+"""Which servo a biped needs: speed, height of steps, slope and push that the torque-speed curve of a servo allows.
 
 One step of the dynamic walk is computed without a simulation. The CoM moves as a linear inverted pendulum over the
 middle of the support sole, at a constant height; the pelvis is upright; the swing foot moves with minimum
@@ -215,7 +215,7 @@ def _reached(still: Kinematics, beside: DQ, com: Array, foot: Array) -> tuple[Ar
 
 
 def largest_loads(servos: Servos, motion: Step) -> Array:
-    """Return the largest part of its torque-speed line that each joint needs in a step, shape (n,)."""
+    """Return the largest part of its torque-speed curve that each joint needs in a step, shape (n,)."""
     inner = servos.armature * motion.acceleration + servos.friction * np.sign(motion.velocity)
     out: Array = servos.load(motion.torque + inner, motion.velocity).max(axis=0)
     return out

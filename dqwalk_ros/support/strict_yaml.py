@@ -126,7 +126,7 @@ def _check_events(text: str) -> None:
         if depth > _MOST_NESTED:
             raise _at(event, "nested too deeply")
         if isinstance(event, yaml.ScalarEvent) and not event.style and (odd := _BLANK.search(event.value)):
-            raise _at(event, f"the blank U+{ord(odd[0]):04X}, as of a web page, is no space in YAML: type it anew")
+            raise _at(event, f"the blank U+{ord(odd[0]):04X}, as from a web page, is not a space in YAML: retype it")
 
 
 @lru_cache(maxsize=1)

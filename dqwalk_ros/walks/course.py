@@ -73,7 +73,7 @@ class Course:
                 numbers = []
             if len(numbers) != 4 or not all(map(math.isfinite, numbers)) or not 0.0 < numbers[3] <= _LONGEST:
                 raise ConfigError(
-                    "--cmd-vel wants FORWARD,LEFT,TURN,SECONDS [m/s, m/s, rad/s, s], "
+                    "--cmd-vel needs FORWARD,LEFT,TURN,SECONDS [m/s, m/s, rad/s, s], "
                     f"such as 0.01,0,0.02,30, for at most a day, not '{text[:80]}'"
                 )
             legs.append(Leg(*numbers))

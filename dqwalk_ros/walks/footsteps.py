@@ -58,7 +58,7 @@ def parsed(texts: Sequence[str]) -> list[tuple[float, float, float, float]]:
         except ValueError:
             length = side = turn = up = math.nan
         if not math.isfinite(length + side + turn + up):
-            raise ConfigError(f"gait.footsteps wants 'AHEAD LEFT TURN UP' [m, m, rad, m], not '{text[:80]}'")
+            raise ConfigError(f"gait.footsteps needs 'AHEAD LEFT TURN UP' [m, m, rad, m], not '{text[:80]}'")
         steps.append((length, side, turn, up))
     return steps
 

@@ -1120,7 +1120,7 @@ def test_a_trial_says_what_was_walked_and_what_its_report_finds() -> None:
         (Trial("physics", True, 0.6, 0.6, "", load=Load(1e-3, "l_knee", 1.0)), "physics: walked 0.600 m".__eq__),
         (
             Trial("physics", True, 0.6, 0.6, "", load=Load(0.731, "l_knee", 1.0)),
-            "physics: walked 0.600 m, l_knee needs 73 % of its torque-speed line at 1.00 s".__eq__,
+            "physics: walked 0.600 m, l_knee needs 73 % of its torque-speed curve at 1.00 s".__eq__,
         ),
     ]
     for trial, expected in trials:

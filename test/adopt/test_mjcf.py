@@ -115,7 +115,7 @@ REFUSED = {
     "no body": ((r'<body name="crate".*</worldbody>.*</actuator>', "</worldbody>"), "has no body, so no robot"),
     "legs on the world": (
         (r'<body name="trunk".*?name="imu" pos="0 0 0.05"/>(.*)</body>\s*</worldbody>.*</actuator>', r"\1</worldbody>"),
-        r"the bodies left_thigh, right_thigh hang on the world by joints of their own, so the link that carries",
+        r"the bodies left_thigh, right_thigh are attached to the world by joints of their own, so the link that",
     ),
     "an error": ((r'joint="left_knee"/>', 'joint="knee"/>'), "MuJoCo refuses .*knee"),
     "passive ankles": (

@@ -97,7 +97,7 @@ def test_the_soles_sink_by_the_stated_stiffness(engine: Any, friction: float) ->
 
 
 def test_a_stiffness_without_friction_is_refused_in_mujoco() -> None:
-    with pytest.raises(PlantError, match=r"only with physics\.friction >= 0\.01"):
+    with pytest.raises(PlantError, match=r"needs, in MuJoCo, physics\.friction >= 0\.01"):
         made(PhysicsPlant, physics__contact_stiffness=3e4, physics__friction=0.0)
 
 

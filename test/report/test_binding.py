@@ -1,4 +1,4 @@
-"""What binds a walk: the part of the torque-speed lines that it needs, and the limits that commands reach."""
+"""What binds a walk: the part of the torque-speed curves that it needs, and the limits that commands reach."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ def test_a_dimension_that_is_not_configured_is_that_of_the_box():
 
 @pytest.mark.parametrize("key", ["pelvis", "left_sole", "right_sole", "imu"])
 def test_a_missing_link_is_named(key):
-    with pytest.raises(ModelError, match=f"robot.{key} names the link 'nowhere', which is not there"):
+    with pytest.raises(ModelError, match=f"robot.{key} names the link 'nowhere', which is missing"):
         load_model(RobotConfig(**{key: "nowhere"}))
 
 

@@ -168,7 +168,7 @@ def test_within_the_backlash_there_is_no_torque() -> None:
 
 
 def test_servo_torque_decreases_to_zero_at_the_no_load_speed() -> None:
-    """The torque-speed line: at full voltage, the stall torque at rest and zero at the no-load speed."""
+    """The torque-speed curve: at full voltage, the stall torque at rest and zero at the no-load speed."""
     plant = hanging()
     fast = 5.76
     plant._goals[:, KNEE] += 1.0

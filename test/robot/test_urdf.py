@@ -56,7 +56,7 @@ BAD = {
     ),
     "long name": (robot(link("a" * 100_000)), "line 2: <link> has an attribute of more than 65536 characters"),
     "undefined entity": (robot("<link name='&xxe;'/>"), "not XML"),
-    "too deep": (robot(A, "<a>" * 100_000), "line 3: <a> lies too deep"),
+    "too deep": (robot(A, "<a>" * 100_000), "line 3: <a> is nested too deeply"),
     "too large": (robot(A, " " * (1 << 25)), "more than 32 MiB"),
     "nameless link": (robot("<link/>"), "line 2: <link> has no name"),
     "doubled link": (robot(A, A), "line 3: <link> 'a' has the name of the one in line 2"),

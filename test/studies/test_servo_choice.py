@@ -1,4 +1,4 @@
-"""Which servo a biped needs: torques of a step, the torque-speed line, and the command."""
+"""Which servo a biped needs: torques of a step, the torque-speed curve, and the command."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def test_footprints_on_stairs_keep_their_heights() -> None:
         ("0.05 0 0 0.012", "12 mm above the other sole: up to 10 mm"),
         ("0.124 0 0 -0.1", r"footstep 1, of the right foot: out of reach by .* \(l_ankle_y at the limit\)"),
         ("0.2 0 0 0.025", r"gait\.most_length is 0\.13 m"),
-        ("0.05 0 0.025", r"wants 'AHEAD LEFT TURN UP'"),
+        ("0.05 0 0.025", r"needs 'AHEAD LEFT TURN UP'"),
     ],
 )
 def test_steps_that_the_legs_cannot_make_are_refused_before_the_walk(step: str, limit: str) -> None:

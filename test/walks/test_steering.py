@@ -38,7 +38,7 @@ def test_a_course_is_parsed_and_followed_in_order() -> None:
     assert course.at(30.0) == (-0.01, 0.001, 0.0)
     assert course.at(35.0) is None
     for text in ("0.01,0,0.02", "a,0,0,1", "0,0,0,0", "0,0,inf,1", "nan,0,0,1", ""):
-        with pytest.raises(ConfigError, match="--cmd-vel wants"):
+        with pytest.raises(ConfigError, match="--cmd-vel needs"):
             Course.parse([text])
 
 
@@ -196,7 +196,7 @@ def test_the_report_detects_a_loss_of_balance(short) -> None:
 def test_an_invalid_course_is_a_command_line_error(tmp_path: Path, capsys) -> None:
     arguments = ["simulate", "--config", "poppy", "--cmd-vel", "far", "--out", str(tmp_path / "walk")]
     assert main(arguments) == 2
-    assert "--cmd-vel wants" in capsys.readouterr().err
+    assert "--cmd-vel needs" in capsys.readouterr().err
     assert not (tmp_path / "walk" / "bag").exists()
 
 

@@ -486,7 +486,7 @@ class _Mcap:
                         raise _Damage("its last record is incomplete")
                     channel, _, time, _ = _MESSAGE.unpack_from(body)
                     if channel not in self._channels:
-                        raise _Damage(f"a message of channel {channel}, which there is not")
+                        raise _Damage(f"a message of channel {channel}, which does not exist")
                     topic, kind, wanted = self._channels[channel]
                     if wanted:
                         yield topic, kind, time, _message(body[_MESSAGE.size :], self._room)
