@@ -291,7 +291,7 @@ class Many(Output):
         from dqwalk_ros.cli.progress import Progress
 
         with Progress(quiet=self.quiet) as bar:
-            bar.stage(0.0, "starting the processes")
+            bar.stage(0.0, "starting the processes, which on a new machine compile for some minutes")
 
             def progress(done: int, total: int, last: Any) -> None:
                 bar(done / total, f"{done} of {total} {unit}{describe(last)}")
