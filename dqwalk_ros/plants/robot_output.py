@@ -78,7 +78,7 @@ def differences(config: Config, model: RobotModel, file: Path) -> Iterator[str]:
     topic = output_topic(config)
     name = topic.rpartition("/")[0].rpartition("/")[2]
     if name and name not in sections:
-        yield f"{file} has no '{name}', whose topic is output.topic ({topic}); it has {listed(sections) or 'none'}"
+        yield f"{file} has no '{name}', whose topic is output.topic ({topic}); it has {listed(sections)}"
     if config.output.type == "float64_multi_array":
         expected = {"joints": commanded_joints(config, model), "interface_name": (config.output.interface,)}
         for parameter, values in expected.items():

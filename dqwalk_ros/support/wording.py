@@ -14,7 +14,7 @@ _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 def listed(names: Collection[str]) -> str:
     """Return some names that came from outside, for a message that fits on a line and cannot act on a terminal."""
     some = [shown(name) for name in sorted(names)[:12]]
-    return ", ".join([*some, f"and {len(names) - 12} more"] if len(names) > 12 else some)
+    return ", ".join([*some, f"and {len(names) - 12} more"] if len(names) > 12 else some) or "none"
 
 
 def kinds(messages: Sequence[str]) -> list[str]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -22,6 +23,7 @@ from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.compiled import digest
+from dqwalk_ros.support.interrupts import serve
 from dqwalk_ros.walks.arms import HandInTrunk
 from dqwalk_ros.walks.table import make_controller
 
@@ -61,4 +63,5 @@ def compile_all() -> None:
 
 
 if __name__ == "__main__":
+    serve(os.getppid())
     {"walks": walks, "others": others}[sys.argv[1]]()

@@ -155,7 +155,7 @@ def _columns_of(
         odd = [f"{name} ({content.topics[f'/{name}']})" for name in missing if f"/{name}" in content.topics]
         if odd:
             raise BagError(f"'{content.path}' is not a walk: it has messages of another type on {listed(odd)}")
-        have = listed(content.topics) or "none"
+        have = listed(content.topics)
         lack = f"it has no messages on {', '.join(missing)}; its topics are {have}"
         raise BagError(f"'{content.path}' is not a walk: {lack}")
     return columns
@@ -202,7 +202,7 @@ def _last_run(stamps: Stamps, notes: list[str]) -> tuple[NDArray[np.intp], int]:
     if len(kept) > 1 and len(kept[-1]) <= _FEW:
         wrong += len(kept.pop())  # its stamps are ahead, and nothing follows
     if again:
-        notes.append(f"time went back {again} times: only the last run is read")
+        notes.append(f"time went back {'once' if again == 1 else f'{again} times'}: only the last run is read")
     for before, after in itertools.pairwise(kept):
         at, ahead = (stamps[before[-1]] - stamps[kept[0][0]]) / NS, (stamps[after[0]] - stamps[before[-1]]) / NS
         notes.append(f"{at:.3f} s after the first state, time jumps by {ahead:.3f} s: no states, or a clock was set")

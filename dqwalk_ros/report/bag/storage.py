@@ -500,8 +500,9 @@ class _Mcap:
             elif opcode == Opcode.CHANNEL:
                 found = Channel.read(ReadDataStream(io.BytesIO(record.whole())))
                 kind = _type(self._schemas[found.schema_id], found.message_encoding)
-                self._channels[found.id] = found.topic, kind, self._wanted(found.topic, kind)
-                yield found.topic, kind, 0, None
+                name = f"/{found.topic.lstrip('/')}"  # which not every writer begins with a slash
+                self._channels[found.id] = name, kind, self._wanted(name, kind)
+                yield name, kind, 0, None
             elif opcode == Opcode.STATISTICS:
                 stated = Statistics.read(ReadDataStream(io.BytesIO(record.whole()))).message_count
                 if stated != self._count:
