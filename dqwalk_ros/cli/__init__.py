@@ -98,7 +98,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.exceptions.Exit as done:  # of --help
         return done.exit_code
     except click.UsageError as error:
-        path = error.ctx.command_path if error.ctx else "dqwalk"
+        own = [word for word in words[:1] if word in COMMANDS]  # for errors of the parser, which know no command
+        path = error.ctx.command_path if error.ctx else " ".join(["dqwalk", *own])
         return _fail(f"{error.format_message().rstrip('.')}; `{path} --help` shows how", USAGE)
     except click.Abort:  # a question without an answer
         return _fail("interrupted", FAILED)

@@ -17,6 +17,7 @@ from dqwalk_ros.cli.options import (
     setup_options,
 )
 from dqwalk_ros.plants.table import PLANTS, entry
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.ros_environment import check_ros_environment
 
 _BY_HAND = 300.0
@@ -71,6 +72,10 @@ def doctor(
     from dqwalk_ros.robot.model import load_model
 
     made, plant = setup.made(), setup.plant
+    if controllers is not None and plant != "ros2_control":
+        raise ConfigError(f"--controllers is of a robot with --plant ros2_control, not {plant}")
+    if by_hand and offline:
+        raise ConfigError("--by-hand listens to the robot, which --offline does not: leave one of them out")
     model = load_model(made.robot)
     findings: list[object] = [*check(made, model)]
     if not findings:

@@ -40,6 +40,8 @@ def _with(options: Sequence[Option], function: Function) -> Function:
 class Real(click.FloatRange):
     """Type of an option whose value is a number in a range; click's own accepts what is not a number."""
 
+    name = "number"
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
         found: float = super().convert(value, param, ctx)

@@ -144,10 +144,8 @@ class Controller(AnsweringNode):
 
         # In real time only the newest state is of use; in lockstep every state must arrive.
         self.listen(JointState, "joint_states", self._on_state, 1 if self.lockstep else ros.best_effort(1))
-        events = SubscriptionEventCallbacks(use_default_callbacks=False)  # a publisher is heard by one of them
-        for profile in (ros.latched(), ros.best_effort(1)):
-            self.create_subscription(Bool, "plant_ready", self._on_plant_ready, profile, event_callbacks=events)
-            self.create_subscription(String, "plant_warning", self._on_plant_warning, profile, event_callbacks=events)
+        ros.hear(self, Bool, "plant_ready", self._on_plant_ready)
+        ros.hear(self, String, "plant_warning", self._on_plant_warning)
         alive = SubscriptionEventCallbacks(liveliness=self._on_liveliness, use_default_callbacks=False)
         self.create_subscription(Bool, "plant_ready", lambda _: None, ros.watched(), event_callbacks=alive)
         self._imu = (

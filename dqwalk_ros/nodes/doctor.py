@@ -100,14 +100,14 @@ class Doctor(Node):
         super().__init__("doctor", namespace=namespace, context=context)
         self.heard = heard = Heard(0.0)
         self._latched: set[str] = set()  # topics of which a message was received
-        best_effort, latched = ros.best_effort(100), ros.latched()
+        best_effort = ros.best_effort(100)
         self.create_subscription(JointState, "joint_states", partial(self._store, heard.states), best_effort)
         self.create_subscription(Imu, "imu", partial(self._store, heard.imus), best_effort)
         self.create_subscription(JointState, VELOCITY, self._on_command, best_effort)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
-        self.create_subscription(Bool, "plant_ready", self._on_ready, latched)
-        self.create_subscription(String, "plant_warning", self._on_warning, latched)
-        self.create_subscription(String, "phase", self._on_phase, latched)
+        ros.hear(self, Bool, "plant_ready", self._on_ready)
+        ros.hear(self, String, "plant_warning", self._on_warning)
+        ros.hear(self, String, "phase", self._on_phase)
 
     def _store(self, messages: list[tuple[Any, int]], msg: Any) -> None:
         messages.append((msg, self.get_clock().now().nanoseconds))

@@ -6,13 +6,14 @@ import array
 import importlib
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, WrenchStamped
 from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -45,6 +46,13 @@ def watched() -> QoSProfile:
     """Return that of a latched topic whose subscribers may ask to be told when its process is killed or stopped."""
     lease = Duration(seconds=_LEASE)
     return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, liveliness_lease_duration=lease)
+
+
+def hear(node: Node, kind: Any, topic: str, callback: Callable[[Any], None]) -> None:
+    """Subscribe to a topic of any quality of service, and to the last message of a publisher that latches it."""
+    events = SubscriptionEventCallbacks(use_default_callbacks=False)  # each publisher is heard by one of the two
+    for profile in (latched(), best_effort(1)):
+        node.create_subscription(kind, topic, callback, profile, event_callbacks=events)
 
 
 def message_type(name: str) -> Any:

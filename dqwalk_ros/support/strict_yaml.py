@@ -71,7 +71,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
     except UnicodeDecodeError as error:
         raise ConfigError(f"cannot read '{path}': it is not a text in UTF-8 (byte {error.start})") from error
     except OSError as error:
-        raise ConfigError(f"cannot read '{path}': {error}") from error
+        raise ConfigError(f"cannot read '{path}': {error.strerror}") from error
     if len(text) > _MAX_BYTES:
         raise ConfigError(f"{path}: longer than {_MAX_BYTES >> 20} MiB")
     return text
