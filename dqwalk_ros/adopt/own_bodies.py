@@ -7,10 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.collisions import segments_apart
-from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.robot.clearance import Capsules
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.shapes import capsule_around
 from dqwalk_ros.support.arrays import Array
@@ -41,8 +38,8 @@ def pairs_of_arms(config: Config, model: RobotModel, hulls: Mapping[str, Array])
     joints = sorted({k for pattern in config.arms.joints for k in model.matching(pattern, "arms.joints")})
     body = {link: model.frames[link].body for link in hulls}
     moved = {link: any(model.bodies[b].joint in joints for b in model.chain(body[link])) for link in hulls}
-    shapes = {link: capsule_around(corners) for link, corners in hulls.items()}
     links = sorted(hulls, key=lambda link: (not moved[link], link))
+    capsules = Capsules(model, {link: capsule_around(hulls[link]) for link in links})
     found = [
         (i, j)
         for i, one in enumerate(links)
@@ -53,7 +50,6 @@ def pairs_of_arms(config: Config, model: RobotModel, hulls: Mapping[str, Array])
         and model.bodies[body[other]].parent != body[one]
     ]
     pairs = np.array(found, dtype=np.int64).reshape(-1, 2)
-    radii = np.array([shapes[link][2] for link in links])[pairs].sum(axis=1)
     rng = np.random.default_rng(0)
     met = np.zeros(len(pairs))
     nearly, beside = np.zeros((2, len(pairs)), dtype=bool)
@@ -61,9 +57,7 @@ def pairs_of_arms(config: Config, model: RobotModel, hulls: Mapping[str, Array])
         q = standing.copy()
         if k:
             q[joints] = rng.uniform(model.q_min[joints], model.q_max[joints])
-        kin = Kinematics(model, q, Foot.LEFT)
-        ends = [DQ(kin.pose(link)).transform_point(np.array(shapes[link][:2])).ravel() for link in links]
-        apart = segments_apart(np.array(ends).reshape(-1, 6), pairs) - radii
+        apart = capsules.distances(q, pairs)
         if not k:
             beside = apart < margin
         nearly |= (apart < margin + _NEARLY) & ~beside

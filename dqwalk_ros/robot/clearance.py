@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqwalk_ros.paper.collisions import segments_apart
 from dqwalk_ros.paper.dual_quaternions import DQ
@@ -38,6 +39,23 @@ def limbs(model: RobotModel) -> list[list[int]]:
     return list(found.values())
 
 
+class Capsules:
+    """Capsules around links of a robot, by the names of the links: ends (3,) in their frames, and radius [m]."""
+
+    def __init__(self, model: RobotModel, capsules: Mapping[str, tuple[Array, Array, float]]) -> None:
+        self._model, self.links = model, list(capsules)
+        self._ends = [np.array(capsule[:2]) for capsule in capsules.values()]
+        self._radii = np.array([radius for *_, radius in capsules.values()])
+
+    def distances(self, q: Array, pairs: NDArray[np.int64]) -> Array:
+        """Return the distances (k,) [m] of pairs (k, 2), indices of `links`, at joint angles q (n,) [rad]."""
+        kin = Kinematics(self._model, q, Foot.LEFT)
+        placed = zip(self.links, self._ends, strict=True)
+        ends = [DQ(kin.pose(link)).transform_point(own).ravel() for link, own in placed]
+        apart: Array = segments_apart(np.array(ends).reshape(-1, 6), pairs) - self._radii[pairs].sum(axis=1)
+        return apart
+
+
 class Clearance:
     """Distances of the links of a robot that more than two joints connect.
 
@@ -60,16 +78,14 @@ class Clearance:
         shapes = Shapes(urdf, pathlib.Path())
         hulls, _ = shapes.hulls(list(urdf.links))
         points = [name for name in urdf.links if name not in hulls and (not hulls or shapes.unread([name]))]
-        self._shapes = {name: capsule_around(corners) for name, corners in hulls.items()}
-        self._shapes |= {name: (np.zeros(3), np.zeros(3), 0.0) for name in points}
-        self._links = list(self._shapes)
+        capsules = {name: capsule_around(corners) for name, corners in hulls.items()}
+        self._capsules = Capsules(model, capsules | {name: (np.zeros(3), np.zeros(3), 0.0) for name in points})
+        self._links = self._capsules.links
         chains = [model.chain(model.frames[name].body) for name in self._links]
         first = [model.bodies[chain[1]].joint if len(chain) > 1 else -1 for chain in chains]
         far = [(i, j) for j in range(len(chains)) for i in range(j) if len({*chains[i]} ^ {*chains[j]}) > 2]
         self.pairs = np.array(far, dtype=np.int64).reshape(-1, 2)
         self.limbs = np.array(first)[self.pairs]
-        radii = np.array([self._shapes[name][2] for name in self._links])
-        self._radii = radii[self.pairs].sum(axis=1)
         self._zero = self.distances(np.zeros(model.n))
         self.least = np.minimum(self._zero - _NEARER, _CLEAR)
 
@@ -80,12 +96,7 @@ class Clearance:
 
     def distances(self, q: Array) -> Array:
         """Return the distances (k,) of the pairs at joint angles q (n,) [m, rad]."""
-        kin = Kinematics(self._model, q, Foot.LEFT)
-        ends = np.empty((len(self._links), 6))
-        for k, name in enumerate(self._links):
-            ends[k] = DQ(kin.pose(name)).transform_point(np.array(self._shapes[name][:2])).ravel()
-        apart: Array = segments_apart(ends, self.pairs) - self._radii
-        return apart
+        return self._capsules.distances(q, self.pairs)
 
     def names(self, pair: int) -> str:
         """Return the links of a pair in words."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
+from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 
@@ -37,22 +39,15 @@ def motion(model: RobotModel, q: Array, joint: int, angle: float) -> str:
         Such as ``l_shin moved back and up``: the CoM of all bodies that the joint carries, or ``spine turned left``
         where that is near the axis of the joint.
     """
-    poses: list[DQ] = []
-    for body in model.bodies:
-        turn = [1.0, 0.0, 0.0, 0.0]
-        if body.joint >= 0:
-            half = 0.5 * q[body.joint]
-            turn = [np.cos(half), *(np.sin(half) * body.axis)]
-        here = DQ(body.origin) * DQ(np.array([*turn, 0.0, 0.0, 0.0, 0.0]))
-        poses.append(poses[body.parent] * here if body.parent >= 0 else here)
+    kin = Kinematics(model, q, Foot.LEFT)
     (moved,) = (k for k, body in enumerate(model.bodies) if body.joint == joint)
-    carried = [k for k in range(len(poses)) if moved in model.chain(k)]
+    carried = [k for k in range(len(model.bodies)) if moved in model.chain(k)]
     masses = np.array([max(model.bodies[k].mass, 1e-9) for k in carried])
-    places = np.array([poses[k].translation() + poses[k].rotation_matrix() @ model.bodies[k].com for k in carried])
-    pelvis = model.frames[model.pelvis]
-    to_pelvis = (poses[pelvis.body] * DQ(pelvis.pose)).rotation_matrix().T
-    axis = to_pelvis @ poses[moved].rotation_matrix() @ model.bodies[moved].axis * np.sign(angle)
-    arm = to_pelvis @ (masses @ places / masses.sum() - poses[moved].translation())
+    places = np.array([kin.point(model.links[k], model.bodies[k].com) for k in carried])
+    to_pelvis = DQ(kin.pose(model.pelvis)).rotation_matrix().T
+    link = model.links[moved]
+    axis = to_pelvis @ kin.direction(link, model.bodies[moved].axis) * np.sign(angle)
+    arm = to_pelvis @ (masses @ places / masses.sum() - kin.point(link))
     way = np.cross(axis, arm)
     part = next(name for name, frame in model.frames.items() if frame.body == moved)
     if (speed := float(np.linalg.norm(way))) < max(_LEVER * float(np.linalg.norm(arm)), 1e-4):

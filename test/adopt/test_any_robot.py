@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -32,7 +31,7 @@ from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.plants.mujoco import PhysicsPlant, build
+from dqwalk_ros.plants.mujoco import build
 from dqwalk_ros.report.binding import Load
 from dqwalk_ros.robot.model import RobotModel, find_urdf, load_model, parse_model
 from dqwalk_ros.robot.servos import Servos
@@ -364,22 +363,6 @@ def test_pelvis_and_root_get_frames_with_z_up_between_the_hips(tmp_path: Path) -
         assert kin.direction(link, Z)[2] > 0.999
         assert kin.point(link)[2] == pytest.approx(found.anatomy.leg, rel=0.15)
     assert not found.findings
-
-
-def test_a_fall_does_not_depend_on_the_origin_of_the_root_link() -> None:
-    plants = []
-    for height in (0.0, -0.35):
-        urdf = Urdf.load(SMALL)
-        moved(urdf, "trunk", at([0.0, 0.0, height], DQ.rotation_about(1.2, X).rotation_matrix()))
-        model = small_model(urdf, sole_length=0.12, sole_width=0.08, left_sole_xyz=(0.012, 0.0, -0.046),
-                            right_sole_xyz=(0.012, 0.0, -0.046))  # fmt: skip
-        plants.append(PhysicsPlant(Config().updated({"servo.stiffness": 60.0}), model))
-    for plant in plants:
-        assert not plant.fallen
-    for plant in plants:  # on its knees
-        plant.data.qpos[plant._qadr] = plant.model.posture(["?_hip_pitch=-1.2", "?_knee=2.4", "?_ankle_pitch=-1.2"])
-        mujoco.mj_forward(plant.mj, plant.data)
-        assert plant.fallen
 
 
 def test_a_part_of_the_robot_may_be_named_world(tmp_path: Path) -> None:
