@@ -171,7 +171,7 @@ class VelocityController:
         self.walk.stop()
 
     def pause(self, wanted: bool) -> None:
-        """Let the walk come to where the robot may hold still, or continue; see `Walk.pause`."""
+        """Bring the walk to a posture in which the robot may hold still, or continue; see `Walk.pause`."""
         self.walk.pause(wanted)
 
     @property
@@ -351,7 +351,7 @@ class VelocityController:
 def _within(values: Array, lower: Array, upper: Array, before: Array, most: Array) -> Array:
     """Return the numbers of a command (n,) within two bounds, within +-`most`, and changed by no more in a period.
 
-    Walks and pushes stay below; a measurement that is wrong, but possible, is bounded so.
+    Walks and pushes stay below; the bounds limit the effect of a measurement that is wrong but possible.
     """
     least, largest = np.maximum(before - most, -most), np.minimum(before + most, most)
     return np.minimum(np.maximum(np.minimum(np.maximum(values, lower), upper), least), largest)

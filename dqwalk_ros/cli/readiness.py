@@ -42,7 +42,7 @@ _STILL, _PULL = 0.05, 0.6
 _LEANED = 0.1
 """Least change of the vertical that tells something about the gyroscope [rad]."""
 _SLOW = 0.05
-"""Longest period of the inertial sensor [s]: with 0.04 s Poppy as it is built walks in MuJoCo, with 0.08 s it falls."""
+"""Longest period of the inertial sensor [s]: with 0.04 s the as-built Poppy walks in MuJoCo, with 0.08 s it falls."""
 _POSTURE = 0.3
 """Largest distance of a joint from the first posture of the walk [rad]."""
 _MOVED = 0.05
@@ -216,7 +216,7 @@ def _check_soles(config: Config, model: RobotModel, heard: Heard) -> str:
 def _check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the inertial sensor is upright and at rest, in the frame of its link."""
     if not config.plant.imu:
-        return "not used (plant.imu is false): no torque feed-forward, and a fall is not detected"
+        return "not used (plant.imu is false): no torque feedforward, and a fall is not detected"
     if not heard.imus:
         raise _Failed(
             f"nothing on imu: start the sensor's broadcaster and remap its topic, or set plant.imu: false {_WHERE}"

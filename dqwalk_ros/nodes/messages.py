@@ -158,7 +158,7 @@ class JointReader:
         return bool(msg.name) and self._order.joints.isdisjoint(msg.name)
 
     def command(self, msg: JointState) -> Command:
-        """Return the commanded velocities, and the feed-forward torques if the message has any.
+        """Return the commanded velocities, and the feedforward torques if the message has any.
 
         Raises
         ------

@@ -213,7 +213,7 @@ class Physics(SimulatedPlant):
 
     Subscribes to::
 
-        joint_velocity_commands  sensor_msgs/JointState [rad/s]; efforts are feed-forward torques [N m]
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]; efforts are feedforward torques [N m]
         push                     geometry_msgs/WrenchStamped: its force times 1 s hits the pelvis [N s], in world
 
     Publishes::

@@ -38,7 +38,7 @@ class PoppyDriver(WalkNode):
 
     Subscribes to::
 
-        joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort is a feed-forward torque [N m]
+        joint_velocity_commands  sensor_msgs/JointState [rad/s]; effort is a feedforward torque [N m]
         phase                    std_msgs/String: 'fallen' switches the torque off
 
     Publishes::

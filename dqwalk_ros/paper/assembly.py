@@ -1,6 +1,6 @@
 """Assembly of the quadratic program (U6) from the tasks and constraints of a phase.
 
-From the joint angles to the program it is one compiled call, `_assemble`: the poses and lines (`kinematics`), the
+One compiled call, `_assemble`, leads from the joint angles to the program: the poses and lines (`kinematics`), the
 coordinates of the features (`features`), the value, gradient and rate of each task and constraint by the function that
 its class names (`tasks`, `constraints`, or a file of your own), and the rows of (U6). Controller, monitor and report
 all use this code.

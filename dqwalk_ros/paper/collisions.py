@@ -2,7 +2,7 @@
 
 Capsules, which are segments with a thickness, keep the bodies of a robot apart; lines and the angle between them keep
 tools and the trunk in a cone; primitives that move by themselves add their velocity as the residual of [Marinho2019].
-All distances are in [m], but for the cone's.
+All distances except that of the cone are in [m].
 """
 
 from __future__ import annotations

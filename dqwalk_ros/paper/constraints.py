@@ -76,7 +76,7 @@ def vfi(d: Array, bound: Array, eta: Array, return_speed: Array, dt: float) -> A
     d, bound : ndarray, shape (k,)
         Signed distances and their lower bounds.
     eta : ndarray, shape (k,)
-        Rates [1/s], limited to 1/dt here: in discrete time the bound is kept only if eta dt <= 1.
+        Rates [1/s], limited to 1/dt here: in discrete time the bound is satisfied only if eta dt <= 1.
     return_speed : ndarray, shape (k,)
         Upper limit of w, for distances below their bound [unit of the distance per second].
     dt : float
@@ -99,8 +99,8 @@ class Constraint(Quantity):
         Largest speed at which a distance below its bound is required to return [unit of the distance per second]. It
         keeps the quadratic program feasible after a disturbance that violates the constraint.
     near : float
-        Distance above its bound from which on an inequality is not part of the quadratic program; by default it always
-        is. Where the largest joint velocities reach the bound within a period from farther away, that distance.
+        Distance above its bound beyond which an inequality is left out of the quadratic program; by default it never
+        is. If the largest joint velocities can close a larger distance within a period, that distance counts.
     look : Look
     unit : str
         Of its `margin`, ``m`` or ``rad``.

@@ -29,7 +29,7 @@ class Rows:
     numbers : ndarray, shape (3, l + m + 2n)
         Bound, eta and return speed of each row.
     near : ndarray, shape (l + m,)
-        Distance above its bound from which on a row is left out of the program (`Constraint.near`).
+        Distance above its bound beyond which a row is left out of the program (`Constraint.near`).
     radius : ndarray, shape (l + m + 2n,)
         R of `sampled`: the height of the CoM at the start; zero for the joint limits [m].
     """

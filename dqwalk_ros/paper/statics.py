@@ -20,7 +20,7 @@ GRAVITY = 9.80665
 
 
 class Soles(NamedTuple):
-    """What carries the robot.
+    """The soles that carry the robot.
 
     Attributes
     ----------

@@ -234,7 +234,7 @@ class Walk(ABC):
         raise ConfigError("this walk is not steered by velocity; set gait.steps: 0 with gait.style standing or dynamic")
 
     def pause(self, wanted: bool) -> None:  # noqa: B027
-        """Come to where the robot may hold still (`may_hold`), or continue with the walk."""
+        """Bring the robot to a posture in which it may hold still (`may_hold`), or continue the walk."""
 
     def may_hold(self, phase: Phase) -> bool:
         """Return whether the robot stands without commands in `phase`: by default in every posture."""

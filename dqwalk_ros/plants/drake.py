@@ -1,4 +1,4 @@
-"""The robot in the physics engine Drake: a second opinion on what a walk owes to the engine that it was made in.
+"""The robot in the physics engine Drake, to check that a walk does not depend on the engine it was developed in.
 
 Drake solves contact, position servos and joint friction together, implicitly (SAP). Soles touch the floor at points: at
 their corners, on a level floor.

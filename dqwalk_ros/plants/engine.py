@@ -1,7 +1,7 @@
 """The robot in a physics engine, with position servos and sensors; a subclass for each engine.
 
-The root link floats, and only the soles have contacts with the ground. Everything but mechanics is here, so that all
-engines simulate the same servos, bus and sensors.
+The root link floats, and only the soles have contacts with the ground. Everything except the mechanics is here, so that
+all engines simulate the same servos, bus and sensors.
 """
 
 from __future__ import annotations

@@ -34,9 +34,9 @@ _SOLID = [0.95, 0.99, 0.0005, 0.5, 2.0]
 _SHADES = [[0.66, 0.71, 0.78, 1.0], [0.78, 0.82, 0.87, 1.0]]
 """Colours of boxes on the floor."""
 _LEAST_FRICTION = 0.01
-"""Least friction with which a stiffness of the contact can be stated: its pyramid must have a width."""
+"""Least friction with which a stiffness of the contact can be specified: its pyramid must have a width."""
 _IMPEDANCE = 0.9
-"""Constant contact impedance where the contact is stated in physical terms."""
+"""Constant contact impedance where the contact is specified in physical terms."""
 _PLACE = 1e-3
 """Largest distance from a point of axes that pass through it [m]."""
 
@@ -273,7 +273,7 @@ def build(
 def _set_contact(mj: Any, body: int, stiffness: float, relaxation: float) -> None:
     """Give all contacts a constant stiffness K [N/m], and a damping of K times `relaxation` [s].
 
-    MuJoCo wants a constraint to have the acceleration -b v - k d r, and lets it miss that by R f under the force f.
+    MuJoCo's reference acceleration of a constraint is -b v - k d r; under a force f it deviates from this by R f.
     With a constant impedance d, R = A (1 - d)/d, where A is the approximate inverse inertia of the `body`. A contact
     has four constraints, the edges of a pyramid of friction mu, whose A is 1 + mu^2 times that, and whose R is 2 mu^2
     times that of the first. So K = 2 k d^2 / (mu^2 (1 + mu^2) (1 - d) A).

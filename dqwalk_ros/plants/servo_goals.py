@@ -1,22 +1,21 @@
-"""The law from commands (velocities and torques) to the goal positions of servos.
+"""The control law from commands (velocities and torques) to the goal angles of servos.
 
 Physics, the node `drive` (ros2_control) and the driver of Poppy execute it.
 
 1. A measured angle is used if the joint can have reached it since the last accepted one; three impossible ones in a row
    are a fault (`AngleGate`).
 2. Velocities and torques are clamped to the limits of the joints.
-3. The goal integrates the velocity and is limited to a window around the position at which the command will find the
-   joint, the measured one plus the motion commanded within the delay: an integral action with anti-windup, which
-   compensates the deflection of a servo under load. With a small window a leg yields to a force that is not fed
-   forward, such as that of a stone under its sole.
+3. The goal integrates the velocity and is limited to a window around the predicted angle of the joint, the measured one
+   plus the motion commanded within the delay. This is an integral action with anti-windup, which compensates the
+   deflection of a servo under load. With a small window a leg complies with a force that is not fed forward, such as
+   that of a stone under its sole.
 4. Feedforward torques are converted to an offset of the goal by the assumed stiffness of the servos. Where they are
-   known, the goal is ahead by the lag of a damped servo, too. The sum stays within the range of the joint and moves no
+   known, the goal is also ahead by the lag of a damped servo. The sum stays within the range of the joint and moves no
    faster than the joint can.
 5. Goals are rounded to the steps of the servos, written at the rate of the bus and effective after its latency.
 6. Without recent angles, or after a fault, no command has an effect: the last goal remains.
-7. A joint that moves away from its goal, although its servo has its full torque, is a fault: its motor is in a mode in
-   which it does not turn to positions, its sensor is broken, or it is overpowered. A plant that can switches its torque
-   off.
+7. A joint that moves away from its goal, although its servo exerts its full torque, is a fault: its motor is not in
+   position mode, its sensor is broken, or it is overpowered. A plant switches the torque of this motor off if it can.
 """
 
 from __future__ import annotations
@@ -171,8 +170,7 @@ class ServoGoals:
     limits : RobotModel or JointLimits
         Of these joints.
     window : float
-        Largest distance of the goal, without the offset by torques, from the position where the command finds the
-        joint [rad].
+        Largest distance of the goal, without the offset by torques, from the predicted angle of the joint [rad].
     resolution : float or ndarray, shape (n,)
         Steps of the goals [rad]; 0: continuous.
     rate, latency : float
@@ -410,8 +408,8 @@ def _goals(
 ) -> Array:  # fmt: skip
     """Return velocities within their limits [rad/s], and after one period the commanded positions [rad], (4, n).
 
-    These are without and with the offsets and the lead [s], and the latter rounded. The command will find the joints at
-    q + `pending`. A joint outside its range may only move towards it.
+    These are without and with the offsets and the lead [s], and the latter rounded. The joints are predicted at
+    q + `pending` when the command acts. A joint outside its range may only move towards it.
     """
     out = np.empty((4, wanted.shape[0]))
     u, moved, shifted, rounded = out

@@ -1,1 +1,1 @@
-"""Walks beyond the paper's: standing on the true soles, and dynamic."""
+"""Walks beyond the paper's: standing on the real soles, and dynamic."""

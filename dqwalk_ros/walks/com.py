@@ -56,8 +56,8 @@ def velocity(
 ) -> Array:  # fmt: skip
     """Return the velocity of the CoM, shape (3,) [m/s]; `swing` and `sensor` are places.
 
-    Each sole is at rest as far as it bears the weight, of which the other one has the fraction `share`. So a base sole
-    that has left uneven ground in double support, and moves, is not taken to be at rest.
+    Each sole is assumed at rest in proportion to the weight it bears; `share` is the fraction on the other one. So a
+    base sole that has lost contact with uneven ground in double support, and moves, is not assumed at rest.
     """
     other, imu = Place(*swing), Place(*sensor)
     v: Array = moving_com(com, J_com, lines, poses, imu, dq, gyro)

@@ -195,8 +195,8 @@ class Footsteps:
     def climbing(self, stopped: Foot) -> list[Array]:
         """Return the footprints (8,) of `planned` that climb an obstacle that has stopped the foot `stopped`.
 
-        Both feet stand a little before it; then one steps onto it, and the other one wholly. It is taken to be as high
-        as the lowest one that stops a foot.
+        Both feet stand a little before it; one foot steps onto it, and then the other one, completely. The assumed
+        height is that of the lowest obstacle that stops a foot.
 
         Raises
         ------

@@ -150,7 +150,7 @@ def motors_of(config: Config, model: RobotModel) -> tuple[dict[str, Motor], dict
 
 
 def require_bus(config: Config) -> None:
-    """Check that the motor buses can do what the walk wants.
+    """Check that the motor buses can do what the walk requires.
 
     Raises
     ------

@@ -410,11 +410,11 @@ class PoppyPlant(Plant):
         self._buses.send(part, places, angle, speed, self._config.max_speed)
 
     def _send_all(self, part: Part) -> None:
-        """Send goals and speeds to the motors of a bus, but for those whose torque is off."""
+        """Send goals and speeds to the motors of a bus, except those whose torque is off."""
         self._send(part, np.flatnonzero(~self.measured.runaway[part.places]).tolist())
 
     def _let_go(self, part: Part) -> None:
-        """Switch the torque of the joints off that move against it; repeatedly, because a packet may be lost."""
+        """Switch off the torque of joints that move against it; repeatedly, because a packet may be lost."""
         if len(places := np.flatnonzero(self.measured.runaway[part.places])):
             part.bus.write_torque(False, places)
 

@@ -31,7 +31,7 @@ class _Given(NamedTuple):
     """What is constant in a phase.
 
     The path of the CoM has a start (2,) [m], a duration [s], and points (k, 3) of bodies, whose mean is its end; `n`
-    and `d` are the edges of the support polygon, and `margin` [m] is the distance of the pressure from them.
+    and `d` are the edges of the support polygon, and `margin` [m] is the distance of the CoP from them.
     """
 
     start: Array
