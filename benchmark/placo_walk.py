@@ -3,7 +3,7 @@
 placo plans the whole walk before it starts: its preview of the CoM, its swing feet, and one solution of its inverse
 kinematics per control period. Its joint angles are commanded one after the other, together with the torques against
 gravity that placo computes for the sole that stands, or for both soles in proportion to the planned ZMP. The servos
-follow their goals, as a walk without feedback needs; with the legs that yield in our walk it falls in its first steps.
+follow their goals, as a walk without feedback needs; with the compliant legs of our walk it falls in its first steps.
 Of the durations in `TIMINGS` placo has those with which it arrives for the most seeds; the table has other seeds.
 """
 

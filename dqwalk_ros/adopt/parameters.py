@@ -357,7 +357,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
     roll, yaw = anatomy.sideways, anatomy.turns
     return [
         Entry("dt", 0.005, "200 Hz", "default"),
-        Entry("gait.style", "standing", "the CoM stays over the true soles"),
+        Entry("gait.style", "standing", "the CoM stays over the real soles"),
         Entry("gait.steps", steps, "more than half a metre, if steps are long enough"),
         Entry("gait.step_length", n.step, n.step_reason),
         Entry("gait.step_width", rounded(anatomy.apart, 4), "distance of the soles in the posture"),

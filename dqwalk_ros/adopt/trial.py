@@ -43,7 +43,7 @@ _FLAT, _TREAD, _SPARE = 0.3, 0.25, 14
 """Least way to a step and on it [m], and the number of steps with which a robot climbs it; both ways suit two soles."""
 _LONGEST = 120.0
 """Longest time of a climb [s]."""
-_YIELDS, _SHORTER = 0.4, 0.7
+_COMPLIES, _SHORTER = 0.4, 0.7
 """Factors of ``servo.window`` and of the length of a step that may cure a dynamic walk."""
 
 
@@ -159,8 +159,8 @@ def dynamic_walks(
 ) -> Iterator[tuple[Trial, str]]:
     """Walk the dynamic walk in physics; if it falls or its report is not OK, try four cures, one after the other.
 
-    Legs yield more, also with all of the servos' lag assumed; goals are ahead by all of this lag, steps are shorter:
-    the latter two with the changes of the best of the walks before.
+    These are more compliant legs, the same with all of the servos' lag assumed, goals ahead by all of this lag, and
+    shorter steps; the latter two with the changes of the best of the walks before.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
@@ -182,7 +182,7 @@ def dynamic_walks(
 
     config = load(found.folder / "dynamic.yaml")
     servo, gait = config.servo, config.gait
-    yields = {"servo.window": rounded(max(_YIELDS * servo.window, 1e-3), 2)}
+    complies = {"servo.window": rounded(max(_COMPLIES * servo.window, 1e-3), 2)}
     lag: dict[str, Any] = {"servo.assumed": list(assumed(servo.damping, 1.0))} if servo.assumed else {}
     ahead = {**lag, "servo.assumed_lead": servo.damping}
     shorter = {
@@ -192,9 +192,9 @@ def dynamic_walks(
     none: dict[str, Any] = {}
     tried = (
         ("", none),
-        (f"legs that yield more ({_YIELDS:g} times servo.window)", yields),
-        ("such legs, and all of the servos' lag assumed (servo.assumed)", {**yields, **lag} if lag else none),
-        ("goals that are ahead by all of the servos' lag (servo.assumed_lead)", ahead),
+        (f"more compliant legs ({_COMPLIES:g} times servo.window)", complies),
+        ("these legs, and all of the servos' lag assumed (servo.assumed)", {**complies, **lag} if lag else none),
+        ("goals ahead by all of the servos' lag (servo.assumed_lead)", ahead),
         (f"shorter steps ({_SHORTER:g} times gait.step_length)", shorter),
     )
     entries, walks = changed(found.entries, standing, "changed after a standing walk that ended early"), list[Trial]()

@@ -135,7 +135,7 @@ class SspConfig:
 
 @dataclass(frozen=True)
 class StandingConfig:
-    """The standing walk: the CoM is kept inside the support polygon of the true soles."""
+    """The standing walk: the CoM is kept inside the support polygon of the real soles."""
 
     margin: float = parameter(0.008, "distance of the CoM from the edges; larger: safer", "m", 0.0, 0.1, live=True)
     eta_edges: float = parameter(5.0, "rate of the edges; larger: faster approach to them", "1/s", 1e-3, 1e4, live=True)

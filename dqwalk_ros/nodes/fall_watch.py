@@ -52,12 +52,12 @@ class _Expected:
 class Contradictions:
     """Detects joints that do not follow their commands, and inertial measurements that contradict each other.
 
-    The difference between measured and expected motion is integrated with a decay. Expected is what the servos are
-    asked for: their goals stay within ``servo.window`` of the joints, so a leg that yields is no contradiction. The sag
-    of servos and the bias of a gyroscope stay small in this sum; an angle that has slipped or drifts does not. The goal
-    of a joint that is blocked or frozen stays where the joint is, too, so the difference to the commanded motion is
-    integrated as well, with a shorter memory, because it contains all that the window withholds. Both are expected
-    later by the delay of the drive (``servo.assumed_*``), so that a quick motion is no contradiction.
+    The difference between measured and expected motion is integrated with a decay. The expected motion is that of the
+    servos' goals, which stay within ``servo.window`` of the joints, so a leg that complies is no contradiction. The
+    deflection of servos and the bias of a gyroscope stay small in this sum; an angle that has slipped or drifts does
+    not. The goal of a joint that is blocked or frozen also stays near the joint, so the difference from the commanded
+    motion is integrated as well, with a shorter memory, because it contains all motion that the window withholds. Both
+    are expected later by the delay of the drive (``servo.assumed_*``), so that a quick motion is no contradiction.
 
     Between two states that are further apart than two periods, states were lost, or the plant was late. In the first
     case it moved all the time; in the second for two periods only, because no plant makes up for lost time. Only motion

@@ -117,7 +117,7 @@ def _pressure(series: Series, tick: int) -> Iterator[Finding]:
     """Yield the first time at which the path of the CoM requires a centre of pressure beyond the soles."""
     if series.trace.config.gait.style == "paper":
         short = series.true_margin
-        text, parameter = "the paper's walk moves the CoM beyond the true soles", "gait.style"
+        text, parameter = "the paper's walk moves the CoM beyond the real soles", "gait.style"
     else:
         short = _planned_margin(series)
         text, parameter = "the path of the CoM requires a centre of pressure beyond the soles", "standing."

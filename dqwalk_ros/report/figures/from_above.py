@@ -205,7 +205,7 @@ def _draw_margins(ax: Axes, series: Series) -> None:
 
 @drawing()
 def on_the_ground(series: Series) -> Figure:
-    """Draw the true soles, CoM and centre of pressure, the margin of the CoP and the tilt of the soles."""
+    """Draw the real soles, CoM and centre of pressure, the margin of the CoP and the tilt of the soles."""
     of = series.ground
     if of is None:
         raise ValueError("the walk was not simulated in physics")
