@@ -20,7 +20,7 @@ from dqwalk_ros.walks.footprint import Footprint
 _MEMORY = 2.0
 """Time constant of the mean inclination of the supporting soles [s]."""
 _INWARD = 0.17
-"""Part of a sole's width by which the pressure is aimed further inside on uneven ground."""
+"""Part of a sole's width by which the CoP is aimed further inside on uneven ground."""
 _UNEVEN = math.radians(0.5)
 """Inclination of one of the last two soles above which the ground is uneven; on level ground noise and servos incline a
 sole by at most 0.4 degrees when the other foot lands [rad]."""
@@ -46,7 +46,7 @@ class Ground:
 
     @property
     def inward(self) -> float:
-        """Part of a sole's width by which its pressure is aimed further inside, on uneven ground.
+        """Part of a sole's width by which its CoP is aimed further inside, on uneven ground.
 
         An overshoot inwards is caught by the next step, one outwards is not.
         """
@@ -73,8 +73,8 @@ class Ground:
     def tip(self, up: Array, unsure: float) -> Array:
         """Return the rotation from a flat sole's axes to those of the sole with the vertical `up` (3,), vec8 (8,).
 
-        It is smaller than the inclination against the ground by the dead zone `unsure` [rad], because a sole yields and
-        the sensor is noisy.
+        It is smaller than the inclination against the ground by the dead zone `unsure` [rad], because a leg deflects
+        and the sensor is noisy.
         """
         x: Array = _towards(self.vertical, up, unsure)
         return x

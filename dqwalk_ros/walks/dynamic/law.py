@@ -1,8 +1,8 @@
-"""The law of the dynamic walk: from a measured state to the targets of its tasks and the force of the ground.
+"""The control law of the dynamic walk: from a measured state to the targets of its tasks and the ground reaction force.
 
-It is three compiled calls for each state, which call the functions of the CoM, the pendulum, the ground, the plan, the
-swing foot and the force: `notice` what is measured, by which the step may be adjusted, `answer`, and the `torques` for
-the command that the quadratic program gives. What they read and write in a phase is one `Memory`.
+Three compiled calls for each state call the functions of the CoM, the pendulum, the ground, the plan, the swing foot
+and the force: `notice` includes what is measured, by which the step may be adjusted; `answer` sets the targets;
+`torques` belong to the command that the quadratic program gives. What they read and write in a phase is one `Memory`.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ GROUNDED = np.zeros(6), np.zeros(2), np.zeros(14)
 
 
 class Settings(NamedTuple):
-    """Constants of the law.
+    """Constants of the control law.
 
     `advance` is the delay of the drive less a period [s], `gain` that of the feedback, `unsure` the dead zone of the
-    inclination of a sole [rad], `margin` the distance of the pressure from the edges [m], `late` the time for which a
-    foot lands late [s], `reaction` the displacement of the pressure per acceleration of the swing foot [s^2], and
+    inclination of a sole [rad], `margin` the distance of the CoP from the edges [m], `late` the time for which a foot
+    lands late [s], `reaction` the displacement of the CoP per acceleration of the swing foot [s^2], and
     `height` that of the CoM [m].
     """
 
@@ -52,7 +52,7 @@ class Settings(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What the law reads and writes in a phase.
+    """What the control law reads and writes in a phase.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ def answer(
     due = np.empty((2, 2))
     _planned(function, numbers, t + now.delay, due)
     z[:] = due[1]
-    if transfers:  # until a sole is down, no pressure can move towards it
+    if transfers:  # until a sole is down, the CoP cannot move towards it
         _planned(function, numbers, t + now.delay - fixed.advance, later)
         z[:] = later[1]
     reaction = 0.0

@@ -168,7 +168,7 @@ class Support(NamedTuple):
     Attributes
     ----------
     aim : ndarray, shape (2,)
-        Middle of the pressure on the sole [m].
+        Middle of the path of the CoP on the sole [m].
     roll : ndarray, shape (2,)
         The zero-moment point moves from aim - roll to aim + roll [m].
     double, single : float

@@ -349,7 +349,7 @@ class DynamicWalk(SteppingWalk):
         )  # fmt: skip
 
     def _memory(self, phase: Phase, kin: Kinematics) -> Memory:
-        """Return what the law reads and writes in a phase."""
+        """Return what the control law reads and writes in a phase."""
         d, model, frames = self.config.dynamic, self.model, kin.tree.frames
         margin = self.config.standing.pressure_margin
         alone = {foot: np.array([*self._aim(foot, Footprint()), 0.0]) for foot in Foot}
@@ -570,7 +570,7 @@ class DynamicWalk(SteppingWalk):
         return Support(self._aim(foot, stands), self._roll(stands, step), *self._durations(step[0]))
 
     def _roll(self, stands: Footprint, step: Sequence[float]) -> Array:
-        """Return by how much the pressure on a sole is ahead of its aim at the end of a step (3,), shape (2,) [m].
+        """Return by how much the CoP on a sole is ahead of its aim at the end of a step (3,), shape (2,) [m].
 
         It moves from the heel towards the toe, so that the reaction of the swing leg, first ahead and then back, and
         the motion of the CoM over the foot need less of the sole.
@@ -579,7 +579,7 @@ class DynamicWalk(SteppingWalk):
         return np.array([ahead.real, ahead.imag])
 
     def _aim(self, foot: Foot, stands: Footprint) -> Array:
-        """Return the middle of the planned pressure on the sole of `foot` at the pose `stands`, shape (2,) [m]."""
+        """Return the middle of the CoP's planned path on the sole of `foot` at the pose `stands`, shape (2,) [m]."""
         d, sole, side = self.config.dynamic, self.model.soles[foot], 1.0 if foot is Foot.LEFT else -1.0
         inside = d.aim_inside + self._ground.inward * sole.width
         return stands.points(sole.center[:2] + np.array([d.aim_ahead, -side * inside]))
