@@ -8,7 +8,7 @@ config = Config().updated(
         "robot.pelvis": "pelvis",
         "robot.left_sole": "L_sole",
         "robot.right_sole": "R_sole",
-        "robot.drop": ["waist_yaw"],  # cut off with all they carry
+        "robot.drop": ["waist_yaw"],  # removed with all links they carry
         "robot.sole_length": 0.24,
         "robot.sole_width": 0.14,
         "pelvis.height": 0.5,

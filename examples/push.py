@@ -1,4 +1,4 @@
-"""Push the pelvis of a robot that stands in MuJoCo; `closed_loop` is the loop into which own code is inserted."""
+"""Push the pelvis of a robot that stands in MuJoCo; `closed_loop` is the loop into which you insert your own code."""
 
 import numpy as np
 
