@@ -142,10 +142,10 @@ def _physics(of: Mapping[str, Any]) -> list[tuple[str, str]]:
     lines.append(("  tilt of the sole", f"at most {degrees * tilt['value']:.2f} degrees at {tilt['time']:.2f} s"))
     if of["landing_height"] is not None:
         height = mm * of["landing_height"]
-        lines.append(("  landing height", f"at most {height:.1f} mm when touchdown is assumed"))
+        lines.append(("  landing height", f"at most {height:.1f} mm at the assumed touchdown"))
     if (inside := of["cop_inside"]) is not None:
         margin = "" if of["cop_margin"] is None else f"; at worst {mm * of['cop_margin']:+.1f} mm"
-        lines.append(("  pressure", f"centre inside the support polygon on {100.0 * inside:.2f} % of ticks{margin}"))
+        lines.append(("  CoP", f"inside the support polygon in {100.0 * inside:.2f} % of ticks{margin}"))
     if (load := of["swing_load"]) is not None:
         lines.append(("  swing foot", f"carries {100.0 * load:.1f} % of the weight while it swings (median)"))
     if (error := of["load_error"]) is not None:

@@ -264,7 +264,7 @@ def _of_the_ground(series: Series, of: GroundTruth) -> Iterator[Violation]:
         yield _broken(series, "tilt", tick, float(of.tilt[tick]), float(TILT), text)
     inside = of.inside
     if inside is not None and inside < _COP_INSIDE:
-        text = f"the centre of pressure is inside the support polygon on {100 * inside:.2f} % of ticks only"
+        text = f"the centre of pressure is inside the support polygon in only {100 * inside:.2f} % of ticks"
         tick = int(np.argmin(np.nan_to_num(of.cop_margin, nan=-1.0)))
         yield Violation("cop", "", float(series.time[tick]), inside, _COP_INSIDE, text)
 

@@ -164,7 +164,7 @@ def test_the_report_contains_the_balance_of_the_walk(short) -> None:
     assert 0.0 <= of["tilt"]["value"] < np.radians(0.5)
     assert not of["fallen"]
     text = reporting.render(report)
-    assert "inside the support polygon on 100.00 % of ticks" in text
+    assert "inside the support polygon in 100.00 % of ticks" in text
 
 
 def tampered(trace, **changes):
