@@ -28,28 +28,18 @@ _NAN = np.full(8, math.nan)
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What is recorded of every walk, also of one of the whole body: N states of a robot.
-
-    Attributes
-    ----------
-    config : Config
-    model : RobotModel
-    time : ndarray, shape (N,)
-        Times of the states [s].
-    q : ndarray, shape (N, n)
-        Measured joint angles [rad].
-    notes : tuple of str
-        Errors of the walk, and data that the recording lacks.
-    origin : mapping of str to str
-        Software versions and machine (`dqwalk_ros.support.provenance`); empty if unknown.
-    """
+    """What is recorded of every walk, also of one of the whole body: N states of a robot."""
 
     config: Config
     model: RobotModel
     time: Array
+    """Times of the states, shape (N,) [s]."""
     q: Array
+    """Measured joint angles, shape (N, n) [rad]."""
     notes: tuple[str, ...] = ()
+    """Errors of the walk, and data that the recording lacks."""
     origin: Mapping[str, str] = field(default_factory=dict)
+    """Software versions and machine (`dqwalk_ros.support.provenance`); empty if unknown."""
 
     def __len__(self) -> int:
         return int(self.time.shape[0])
@@ -57,40 +47,26 @@ class Recorded:
 
 @dataclass(frozen=True)
 class PhaseRecord:
-    """The data of a recorded phase from which it can be built again.
-
-    Attributes
-    ----------
-    name : str
-    kind : PhaseKind
-    support, base : Foot
-    start : int
-        Index of its first state.
-    time : float
-        Time of that state [s].
-    q_start : ndarray, shape (n,)
-        Joint angles at that state [rad].
-    swing_target : ndarray, shape (8,), or None
-        Pose at which the swing sole lands, in the base frame.
-    x_odom_base : ndarray, shape (8,)
-        Pose of its base sole in the base frame of the first phase.
-    config : Config or None
-        Configuration of the phase, if parameters were changed during the walk.
-    decision : str
-        Description of a change of the swing target during the phase, and its reason; empty without a change.
-    """
+    """The data of a recorded phase from which it can be built again."""
 
     name: str
     kind: PhaseKind
     support: Foot
     base: Foot
     start: int
+    """Index of its first state."""
     time: float
+    """Time of that state [s]."""
     q_start: Array
+    """Joint angles at that state, shape (n,) [rad]."""
     swing_target: Array | None
+    """Pose at which the swing sole lands, in the base frame, shape (8,)."""
     x_odom_base: Array
+    """Pose of its base sole in the base frame of the first phase, shape (8,)."""
     config: Config | None = None
+    """Configuration of the phase, if parameters were changed during the walk."""
     decision: str = ""
+    """Description of a change of the swing target during the phase, and its reason; empty without a change."""
 
     @classmethod
     def of(cls, controller: VelocityController, start: int, time: float, config: Config | None = None) -> PhaseRecord:
@@ -106,34 +82,23 @@ class PhaseRecord:
 
 @dataclass(frozen=True)
 class PhysicsRecord:
-    """Ground truth and inertial measurements of a physics engine at each state; nan where they were not recorded.
-
-    Attributes
-    ----------
-    pelvis : ndarray, shape (N, 8)
-        True pose in the world.
-    wrenches : dict of Foot to ndarray, shape (N, 6)
-        Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
-    cop : ndarray, shape (N, 3)
-        Centre of pressure in the world [m]; nan also if no foot is on the ground.
-    orientation : ndarray, shape (N, 4)
-        Orientation of the inertial sensor in the world, a unit quaternion, real part first.
-    gyro, acceleration : ndarray, shape (N, 3)
-        Angular velocity and specific force in the sensor's frame [rad/s, m/s^2].
-    q : ndarray, shape (N, n)
-        True joint angles [rad].
-    effort : ndarray, shape (N, n)
-        Torques of the servos on the joints, the mean of the period before each state [N m].
-    """
+    """Ground truth and inertial measurements of a physics engine at each state; nan where they were not recorded."""
 
     pelvis: Array
+    """True pose in the world, shape (N, 8)."""
     wrenches: dict[Foot, Array]
+    """Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes, shape (N, 6)."""
     cop: Array
+    """Centre of pressure in the world, shape (N, 3) [m]; nan also if no foot is on the ground."""
     orientation: Array
+    """Orientation of the inertial sensor in the world, a unit quaternion, real part first, shape (N, 4)."""
     gyro: Array
     acceleration: Array
+    """Angular velocity and specific force in the sensor's frame, shape (N, 3) [rad/s, m/s^2]."""
     q: Array
+    """True joint angles, shape (N, n) [rad]."""
     effort: Array
+    """Torques of the servos on the joints, the mean of the period before each state, shape (N, n) [N m]."""
 
     @cached_property
     def up(self) -> Array:
@@ -170,38 +135,26 @@ class PhysicsRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace(Recorded):
-    """A recorded walk of phases.
-
-    Attributes
-    ----------
-    u : ndarray, shape (N, n)
-        Joint velocities commanded for each state [rad/s]; nan without a command.
-    phases : tuple of PhaseRecord
-    solve_time : ndarray, shape (N,)
-        Time taken by the solver [s]; nan if unknown.
-    finished : bool
-        Whether the walk was finished.
-    physics : PhysicsRecord or None
-        Data of the physics engine, if the plant was one.
-    loads : ndarray, shape (N, 2), or None
-        Estimated forces of the ground on the left and on the right sole [N], nan where unknown; None if all are.
-    epoch : int
-        Stamp of time zero [ns]: that of the first state, if stamps are the time of day.
-    interrupted : bool
-        Whether Ctrl-C stopped the walk.
-    cut : bool
-        Whether the recording is damaged or cut off before the end of the walk, so that this end is not known.
-    """
+    """A recorded walk of phases."""
 
     u: Array
+    """Joint velocities commanded for each state, shape (N, n) [rad/s]; nan without a command."""
     phases: tuple[PhaseRecord, ...]
     solve_time: Array
+    """Time taken by the solver, shape (N,) [s]; nan if unknown."""
     finished: bool
+    """Whether the walk was finished."""
     physics: PhysicsRecord | None = None
+    """Data of the physics engine, if the plant was one."""
     loads: Array | None = None
+    """Estimated forces of the ground on the left and on the right sole [N], nan where unknown, shape (N, 2); None if
+    all are."""
     epoch: int = 0
+    """Stamp of time zero [ns]: that of the first state, if stamps are the time of day."""
     interrupted: bool = False
+    """Whether Ctrl-C stopped the walk."""
     cut: bool = False
+    """Whether the recording is damaged or cut off before the end of the walk, so that this end is not known."""
 
     @property
     def spans(self) -> list[range]:

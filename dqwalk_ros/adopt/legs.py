@@ -29,25 +29,17 @@ _BEND = 0.6
 
 @dataclass(frozen=True)
 class Leg:
-    """Hip, knee and ankle of a leg, in the axes of its joints.
-
-    Attributes
-    ----------
-    knee : int
-        Index of the knee among the joints of the leg.
-    hip, ankle : ndarray, shape (3,)
-        Points nearest to the axes of all joints above, and below the knee [m].
-    middle : ndarray, shape (3,)
-        Point of the knee's axis [m].
-    straight : float
-        Distance of hip and ankle when the leg is straight [m].
-    """
+    """Hip, knee and ankle of a leg, in the axes of its joints."""
 
     knee: int
+    """Index of the knee among the joints of the leg."""
     hip: Array
     ankle: Array
+    """Points nearest to the axes of all joints above, and below the knee, shape (3,) [m]."""
     middle: Array
+    """Point of the knee's axis, shape (3,) [m]."""
     straight: float
+    """Distance of hip and ankle when the leg is straight [m]."""
 
     def longest(self, axis: Array, low: float, high: float) -> float:
         """Return the largest distance of hip and ankle with the knee between two angles [m].

@@ -58,22 +58,15 @@ _HOLLOW = re.compile(r"mesh volume is too small: (.+?) \.")
 
 @dataclass(frozen=True)
 class MjcfDrive:
-    """What an MJCF file says about the drive of a joint.
-
-    Attributes
-    ----------
-    stiffness, damping : float
-        Gains of its position actuator, 0 without one, and with the damping of the joint [N m/rad, N m s/rad].
-    armature : float
-        [kg m^2]
-    friction : float
-        [N m]
-    """
+    """What an MJCF file says about the drive of a joint."""
 
     stiffness: float
     damping: float
+    """Gains of its position actuator, 0 without one, and with the damping of the joint [N m/rad, N m s/rad]."""
     armature: float
+    """[kg m^2]"""
     friction: float
+    """[N m]"""
 
 
 def is_mjcf(path: pathlib.Path) -> bool:

@@ -16,23 +16,15 @@ from dqwalk_ros.support.arrays import Array
 
 @dataclass(frozen=True)
 class Entry:
-    """A value of the robot or of its configuration.
-
-    Attributes
-    ----------
-    what : str
-        Name of a quantity, or of a parameter such as ``gait.step_length``.
-    value : value
-    source : str
-        How the value was found or why it was chosen; written as a comment beside a parameter.
-    confidence : str
-        ``sure``, ``likely``, ``guess``, or ``default`` for a value that does not depend on the robot.
-    """
+    """A value of the robot or of its configuration."""
 
     what: str
+    """Name of a quantity, or of a parameter such as ``gait.step_length``."""
     value: Any
     source: str
+    """How the value was found or why it was chosen; written as a comment beside a parameter."""
     confidence: str = "sure"
+    """``sure``, ``likely``, ``guess``, or ``default`` for a value that does not depend on the robot."""
 
 
 class Skeleton:

@@ -32,27 +32,18 @@ _LEAST_SOLE = 0.045
 
 @dataclass(frozen=True)
 class FoundSole:
-    """A sole.
-
-    Attributes
-    ----------
-    link : str
-    pose : DQ
-        Centre of the sole in the frame of the link, with x forward and z up.
-    length, width : float
-        Size of the rectangle [m].
-    source : str
-        How the sole was found.
-    confidence : str
-        ``sure``, ``likely`` or ``guess``.
-    """
+    """A sole."""
 
     link: str
     pose: DQ
+    """Centre of the sole in the frame of the link, with x forward and z up."""
     length: float
     width: float
+    """Size of the rectangle [m]."""
     source: str
+    """How the sole was found."""
     confidence: str
+    """``sure``, ``likely`` or ``guess``."""
 
     def placed(self, skeleton: Skeleton) -> DQ:
         """Return the pose in the zero posture, in the axes of the robot."""

@@ -49,43 +49,29 @@ _COMPLIES, _SHORTER = 0.4, 0.7
 
 @dataclass(frozen=True)
 class Trial:
-    """The result of a trial walk.
-
-    Attributes
-    ----------
-    plant : str
-        ``integrator`` or ``physics``; ``dynamic walk`` if it is this walk in physics.
-    stood : bool
-        Whether the walk was completed.
-    distance : float
-        Measured displacement of the pelvis along x [m].
-    planned : float
-        Displacement according to the parameters [m].
-    note : str
-        Reason for which the walk ended early; what its report finds, if it was completed.
-    violations : int
-        How much that is, if it was completed.
-    causes : tuple of Finding
-        Causes of a fall, the earliest first.
-    load : Load or None
-        The servo that is closest to its torque-speed curve, in physics.
-    touching : str
-        Which links of one leg meet those of the other, which no engine simulates; empty if none does, or if MuJoCo
-        cannot read the shapes.
-    changes : dict of str to value
-        The parameters that were changed after earlier walks.
-    """
+    """The result of a trial walk."""
 
     plant: str
+    """``integrator`` or ``physics``; ``dynamic walk`` if it is this walk in physics."""
     stood: bool
+    """Whether the walk was completed."""
     distance: float
+    """Measured displacement of the pelvis along x [m]."""
     planned: float
+    """Displacement according to the parameters [m]."""
     note: str
+    """Reason for which the walk ended early; what its report finds, if it was completed."""
     violations: int = 0
+    """How much that is, if it was completed."""
     causes: tuple[Finding, ...] = ()
+    """Causes of a fall, the earliest first."""
     load: Load | None = None
+    """The servo that is closest to its torque-speed curve, in physics."""
     touching: str = ""
+    """Which links of one leg meet those of the other, which no engine simulates; empty if none does, or if MuJoCo
+    cannot read the shapes."""
     changes: Mapping[str, Any] = field(default_factory=dict)
+    """The parameters that were changed after earlier walks."""
 
     @property
     def short(self) -> bool:

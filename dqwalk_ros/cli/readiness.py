@@ -59,19 +59,13 @@ _WHERE = "in a file for --params and params:="
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a check.
-
-    Attributes
-    ----------
-    what : str
-        Name of the check.
-    text : str
-        The result; if the check failed, also what to do.
-    """
+    """The result of a check."""
 
     what: str
+    """Name of the check."""
     ok: bool
     text: str
+    """The result; if the check failed, also what to do."""
 
     def __str__(self) -> str:
         return f"{'  ' if self.ok else '! '}{self.what:22s} {self.text}"

@@ -41,34 +41,23 @@ _STALL = 60.0
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """The outcome of a walk.
-
-    Attributes
-    ----------
-    finished : bool
-        Whether all phases were finished and everything was recorded.
-    reason : str
-        Reason why the walk was not finished; empty if it was.
-    ticks : int
-        Number of control periods.
-    walked : float
-        Simulated or measured duration of the walk [s].
-    took : float
-        Wall-clock time from the first to the last control period [s].
-    bag, logs : Path
-        Folders of the recording and of the log files.
-    pace : str
-        Statistics of the control period that the plant reported, in real time.
-    """
+    """The outcome of a walk."""
 
     finished: bool
+    """Whether all phases were finished and everything was recorded."""
     reason: str
+    """Reason why the walk was not finished; empty if it was."""
     ticks: int
+    """Number of control periods."""
     walked: float
+    """Simulated or measured duration of the walk [s]."""
     took: float
+    """Wall-clock time from the first to the last control period [s]."""
     bag: Path
     logs: Path
+    """Folders of the recording and of the log files."""
     pace: str = ""
+    """Statistics of the control period that the plant reported, in real time."""
 
     def __str__(self) -> str:
         pace = f"{self.ticks} ticks, {self.walked:.1f} s of walking in {self.took:.1f} s"

@@ -185,18 +185,12 @@ def from_yaml(text: str, *, source: str = "text", onto: Config | None = None) ->
 
 @dataclass(frozen=True)
 class Section:
-    """The parameters of one node, or of the nodes that a pattern matches, in a ROS parameter file.
-
-    Attributes
-    ----------
-    path : tuple of str
-        The keys that lead to the parameters.
-    values : dict of str to value
-        By dotted name.
-    """
+    """The parameters of one node, or of the nodes that a pattern matches, in a ROS parameter file."""
 
     path: tuple[str, ...]
+    """The keys that lead to the parameters."""
     values: dict[str, Any]
+    """By dotted name."""
 
     @property
     def name(self) -> str:

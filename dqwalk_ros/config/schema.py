@@ -33,35 +33,24 @@ def parameter(
 
 @dataclass(frozen=True)
 class Spec:
-    """One parameter as the nodes, the command line and the documentation see it.
-
-    Attributes
-    ----------
-    name : str
-        Dotted name, such as ``"ssp.com_radius"``.
-    hint : type
-        Type annotation with bounds, by which msgspec checks a value.
-    type : type
-        ``bool``, ``int``, ``float``, ``str`` or ``tuple``.
-    default : bool, int, float, str or tuple
-    low, high : float or None
-        Closed bounds.
-    live : bool
-        Whether it may be set during a standing walk; it takes effect at the next phase.
-    choices : tuple of str
-        The values allowed; empty for any value within the bounds.
-    """
+    """One parameter as the nodes, the command line and the documentation see it."""
 
     name: str
+    """Dotted name, such as ``"ssp.com_radius"``."""
     hint: Any
+    """Type annotation with bounds, by which msgspec checks a value."""
     type: type
+    """``bool``, ``int``, ``float``, ``str`` or ``tuple``."""
     default: Value
     unit: str
     meaning: str
     low: float | None
     high: float | None
+    """Closed bounds."""
     live: bool
+    """Whether it may be set during a standing walk; it takes effect at the next phase."""
     choices: tuple[str, ...]
+    """The values allowed; empty for any value within the bounds."""
 
     @property
     def expects(self) -> str:

@@ -56,26 +56,18 @@ _LEAST_LOAD = 0.1
 
 @dataclass(frozen=True)
 class BaseEstimate:
-    """Estimated pose and velocity of the pelvis; the world is the frame of the first base sole, with z vertical.
-
-    Attributes
-    ----------
-    pose : ndarray, shape (8,)
-        Pose of the pelvis in the world.
-    velocity, angular_velocity : ndarray, shape (3,)
-        Velocities of the pelvis in axes of the world [m/s, rad/s].
-    covariance : ndarray, shape (9, 9)
-        Covariance of the errors of orientation (a rotation vector in axes of the world), velocity and position
-        [rad, m/s, m].
-    contacts : frozenset of Foot
-        Soles that stand without slipping.
-    """
+    """Estimated pose and velocity of the pelvis; the world is the frame of the first base sole, with z vertical."""
 
     pose: Array
+    """Pose of the pelvis in the world, shape (8,)."""
     velocity: Array
     angular_velocity: Array
+    """Velocities of the pelvis in axes of the world, shape (3,) [m/s, rad/s]."""
     covariance: Array
+    """Covariance of the errors of orientation (a rotation vector in axes of the world), velocity and position, shape
+    (9, 9) [rad, m/s, m]."""
     contacts: frozenset[Foot]
+    """Soles that stand without slipping."""
 
     def velocity_covariance(self, R: Array) -> Array:
         """Return the covariance (3, 3) of the velocity's error in axes of the robot with the orientation `R` (3, 3).

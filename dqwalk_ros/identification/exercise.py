@@ -85,21 +85,14 @@ def exercise_config(config: Config, cycles: int = 1) -> Config:
 
 @dataclass(frozen=True)
 class Slot:
-    """The exercise of one joint.
-
-    Attributes
-    ----------
-    joint : int
-        Index of the joint.
-    posture : ndarray, shape (n,)
-        Angles in the middle of the motion, of which only those of the limb are used [rad].
-    sweep : float
-        Amplitude of the slow sweep [rad].
-    """
+    """The exercise of one joint."""
 
     joint: int
+    """Index of the joint."""
     posture: Array
+    """Angles in the middle of the motion, of which only those of the limb are used, shape (n,) [rad]."""
     sweep: float
+    """Amplitude of the slow sweep [rad]."""
 
 
 @functools.lru_cache(maxsize=4)
@@ -146,19 +139,13 @@ def slots(model: RobotModel, cycles: int) -> tuple[tuple[Slot, ...], ...]:
 
 @dataclass(frozen=True)
 class _Moves:
-    """What the limbs do in one slot: they move from `begin` to `posture`, both (n,), then joints oscillate by `sweep`.
-
-    Attributes
-    ----------
-    ending : tuple of int
-        Joints that move to zero after this slot.
-    limbs : tuple of int
-        First joints of the limbs whose motion is known.
-    """
+    """What the limbs do in a slot: they move from `begin` to `posture`, both (n,), then joints oscillate by `sweep`."""
 
     begin: Array
     ending: tuple[int, ...] = ()
+    """Joints that move to zero after this slot."""
     limbs: tuple[int, ...] = ()
+    """First joints of the limbs whose motion is known."""
     target: Array | None = None
     sweep: Array | None = None
 
@@ -330,18 +317,12 @@ def _from_path(q: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FollowPath(Task):
-    """Task that all joints follow a path without feedback, which the fit would attribute to the servos.
-
-    Attributes
-    ----------
-    path : ndarray, shape (m, n)
-        Joint angles, sampled every 5 ms [rad].
-    dt : float
-        Control period, over which the velocity of the path is averaged [s].
-    """
+    """Task that all joints follow a path without feedback, which the fit would attribute to the servos."""
 
     path: Array
+    """Joint angles, sampled every 5 ms, shape (m, n) [rad]."""
     dt: float
+    """Control period, over which the velocity of the path is averaged [s]."""
     eta: float | None = 0.0  # without feedback
     watches = (JointAngles(),)
     function = _from_path

@@ -71,43 +71,29 @@ class Mounting:
     """Orientation of the inertial sensor on its link, including the sensor's own error of the vertical.
 
     Only roll and pitch are identified; yaw is not observable while the robot is held level.
-
-    Attributes
-    ----------
-    rpy : ndarray, shape (3,)
-        Roll, pitch and yaw [rad].
-    deviation : ndarray, shape (3,)
-        Standard deviations [rad]; nan for yaw.
     """
 
     rpy: Array
+    """Roll, pitch and yaw, shape (3,) [rad]."""
     deviation: Array
+    """Standard deviations, shape (3,) [rad]; nan for yaw."""
 
 
 @dataclass(frozen=True)
 class Identified:
-    """Identified parameters of all servos and of the inertial sensor.
-
-    Attributes
-    ----------
-    joints : tuple of str
-        Names of the n joints.
-    value, deviation : ndarray, shape (n, 5)
-        Values of `NAMES`, and their standard deviations.
-    rms : ndarray, shape (n,)
-        Rms error of the model of each joint [rad].
-    missing : dict of str to str
-        Joints that could not be identified, with the reason; their rows are nan.
-    mounting : Mounting or None
-        None without an inertial sensor.
-    """
+    """Identified parameters of all servos and of the inertial sensor."""
 
     joints: tuple[str, ...]
+    """Names of the n joints."""
     value: Array
     deviation: Array
+    """Values of `NAMES`, and their standard deviations, shape (n, 5)."""
     rms: Array
+    """Rms error of the model of each joint, shape (n,) [rad]."""
     missing: dict[str, str]
+    """Joints that could not be identified, with the reason; their rows are nan."""
     mounting: Mounting | None
+    """None without an inertial sensor."""
 
 
 def goals_of(trace: Trace) -> Array:

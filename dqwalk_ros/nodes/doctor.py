@@ -30,55 +30,37 @@ _LATCHED = 20.0
 
 @dataclass
 class Heard:
-    """The messages that were received.
-
-    Attributes
-    ----------
-    seconds : float
-        Duration of the listening [s].
-    states : list of (JointState, int)
-        With the time of receipt [ns].
-    imus : list of (Imu, int)
-        With the time of receipt [ns].
-    errors : dict of str to str
-        Messages of /diagnostics at the level ERROR, by name of the status.
-    ready : bool or None
-        Value of plant_ready; None if it is not published.
-    plant : str
-        Last message of the plant on /diagnostics.
-    warning : str
-        Value of plant_warning.
-    publishers, subscribers : tuple of str
-        Nodes that publish joint_states, and that subscribe to the commands.
-    phase : str
-        Last value of `phase`; empty if it is not published.
-    moving : bool
-        Whether a command other than zero was received.
-    controllers : tuple of str
-        Nodes that publish the commands.
-    diagnosed : bool
-        Whether a message of /diagnostics was received.
-    unheard : dict of str to tuple of str
-        Latched topics that are published, but of which no message was received, and their publishers.
-    simulated : bool
-        Whether the plant is a simulation, whose stamps count its own time.
-    """
+    """The messages that were received."""
 
     seconds: float
+    """Duration of the listening [s]."""
     states: list[tuple[JointState, int]] = field(default_factory=list)
+    """With the time of receipt [ns]."""
     imus: list[tuple[Imu, int]] = field(default_factory=list)
+    """With the time of receipt [ns]."""
     errors: dict[str, str] = field(default_factory=dict)
+    """Messages of /diagnostics at the level ERROR, by name of the status."""
     ready: bool | None = None
+    """Value of plant_ready; None if it is not published."""
     plant: str = ""
+    """Last message of the plant on /diagnostics."""
     warning: str = ""
+    """Value of plant_warning."""
     publishers: tuple[str, ...] = ()
     subscribers: tuple[str, ...] = ()
+    """Nodes that publish joint_states, and that subscribe to the commands."""
     phase: str = ""
+    """Last value of `phase`; empty if it is not published."""
     moving: bool = False
+    """Whether a command other than zero was received."""
     controllers: tuple[str, ...] = ()
+    """Nodes that publish the commands."""
     diagnosed: bool = False
+    """Whether a message of /diagnostics was received."""
     unheard: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Latched topics that are published, but of which no message was received, and their publishers."""
     simulated: bool = False
+    """Whether the plant is a simulation, whose stamps count its own time."""
 
     def angles(self, model: RobotModel) -> Array:
         """Return the angles (n,) of the last state [rad].

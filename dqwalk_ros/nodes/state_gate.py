@@ -25,21 +25,14 @@ from dqwalk_ros.support.errors import StateError
 
 
 class Felt(NamedTuple):
-    """What an inertial sensor measures, in its frame.
-
-    Attributes
-    ----------
-    up : ndarray, shape (3,)
-        Unit vector against gravity.
-    gyro : ndarray, shape (3,)
-        Angular velocity [rad/s].
-    acceleration : ndarray, shape (3,), or None
-        Specific force [m/s^2].
-    """
+    """What an inertial sensor measures, in its frame."""
 
     up: Array
+    """Unit vector against gravity, shape (3,)."""
     gyro: Array
+    """Angular velocity, shape (3,) [rad/s]."""
     acceleration: Array | None
+    """Specific force, shape (3,) [m/s^2]."""
 
 
 class InertialGate:

@@ -37,29 +37,20 @@ class Evaluation:
     """Values of the tasks and constraints of a phase, and its quadratic program, for given joint angles.
 
     There are r rows of tasks, l of equalities and m of inequalities, in this order.
-
-    Attributes
-    ----------
-    assembly : Assembly
-    values : ndarray, shape (r + l + m + 2n,)
-        Errors of the tasks, signed distances of the equalities and inequalities, and distances (U12) and (U13) from the
-        upper and the lower joint limits [rad].
-    J : ndarray, shape (r + l + m, n)
-        Jacobians of all but the limits.
-    wanted : ndarray, shape (r,)
-        J u that makes the errors of the tasks converge.
-    problem : Problem
-        The quadratic program (U6).
-    error : float
-        Norm of the error of the first task.
     """
 
     assembly: Assembly
     values: Array
+    """Errors of the tasks, signed distances of the equalities and inequalities, and distances (U12) and (U13) from the
+    upper and the lower joint limits, shape (r + l + m + 2n,) [rad]."""
     J: Array
+    """Jacobians of all but the limits, shape (r + l + m, n)."""
     wanted: Array
+    """J u that makes the errors of the tasks converge, shape (r,)."""
     problem: Problem
+    """The quadratic program (U6)."""
     error: float
+    """Norm of the error of the first task."""
 
     @property
     def margins(self) -> Array:
@@ -80,46 +71,32 @@ class Evaluation:
 
 
 class _Stack(NamedTuple):
-    """Tasks, equalities, inequalities and both joint limits in the form that compiled code evaluates.
-
-    Attributes
-    ----------
-    functions : ndarray of int, shape (k,)
-        Their compiled functions.
-    spans : ndarray of int, shape (k, 6)
-        First row and row after the last one, the same of the columns in s, and of `parameters`.
-    parameters : ndarray, shape (p,)
-    gradients : ndarray, shape (r + l + m, features)
-        With respect to the coordinates s of all features.
-    rates : ndarray, shape (r + l + m,)
-        Derivatives by time alone.
-    """
+    """Tasks, equalities, inequalities and both joint limits in the form that compiled code evaluates."""
 
     functions: NDArray[np.int64]
+    """Their compiled functions, shape (k,)."""
     spans: NDArray[np.int64]
+    """First row and row after the last one, the same of the columns in s, and of `parameters`, shape (k, 6)."""
     parameters: Array
+    """Shape (p,)."""
     gradients: Array
+    """With respect to the coordinates s of all features, shape (r + l + m, features)."""
     rates: Array
+    """Derivatives by time alone, shape (r + l + m,)."""
 
 
 class _Form(NamedTuple):
-    """Constants of the quadratic program of a phase.
-
-    Attributes
-    ----------
-    tasks : ndarray, shape (tasks, 2)
-        eta and saturation of each task.
-    sqrt_weights : ndarray, shape (r,)
-    rows : ndarray, shape (3, l + m + 2n)
-        Bound, eta and return speed of the rows of all constraints.
-    groups : ndarray of int, shape (g, 2)
-        First row and row after the last one of the equalities with more than one row, which may be linearly dependent.
-    """
+    """Constants of the quadratic program of a phase."""
 
     tasks: Array
+    """eta and saturation of each task, shape (tasks, 2)."""
     sqrt_weights: Array
+    """Shape (r,)."""
     rows: Array
+    """Bound, eta and return speed of the rows of all constraints, shape (3, l + m + 2n)."""
     groups: NDArray[np.int64]
+    """First row and row after the last one of the equalities with more than one row, which may be linearly dependent,
+    shape (g, 2)."""
 
 
 class _Memory(NamedTuple):

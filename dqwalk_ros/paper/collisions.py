@@ -254,21 +254,14 @@ def in_cone(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisInCone(Constraint):
-    """Keep an axis of the robot within an angle of a fixed direction, [Quiroz2019]: lean of the trunk, cone of a hand.
-
-    Attributes
-    ----------
-    axis : Direction
-        A unit vector.
-    center : ndarray, shape (3,)
-        Unit vector in the base frame.
-    angle : float
-        Largest angle between them, at most pi [rad].
-    """
+    """Keep an axis within an angle of a fixed direction, [Quiroz2019]: lean of the trunk, cone of a hand."""
 
     axis: Direction
+    """A unit vector."""
     center: Array
+    """Unit vector in the base frame, shape (3,)."""
     angle: float
+    """Largest angle between them, at most pi [rad]."""
     function = in_cone
     unit = "rad"
 
@@ -305,21 +298,14 @@ def outside_sphere(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Ar
 
 @dataclass(frozen=True, kw_only=True)
 class PointOutsideSphere(Constraint):
-    """Keep a point out of a sphere that moves at a constant velocity [m], [Marinho2019] with its residual.
-
-    Attributes
-    ----------
-    point : Point or CenterOfMass
-    center, velocity : ndarray, shape (3,)
-        When the phase begins, in the base frame [m, m/s].
-    radius : float
-        [m]
-    """
+    """Keep a point out of a sphere that moves at a constant velocity [m], [Marinho2019] with its residual."""
 
     point: Point | CenterOfMass
     center: Array
     velocity: Array
+    """When the phase begins, in the base frame, shape (3,) [m, m/s]."""
     radius: float
+    """[m]"""
     function = outside_sphere
 
     @property
@@ -342,23 +328,15 @@ def over_moving_plane(s: Array, a: Array, elapsed: float) -> tuple[Array, Array,
 
 @dataclass(frozen=True, kw_only=True)
 class PointOverMovingPlane(Constraint):
-    """Keep a sphere about a point on the positive side of a plane of the robot, such as the front of the trunk [m].
-
-    Attributes
-    ----------
-    point : Point or CenterOfMass
-    origin : Point
-        A point of the plane.
-    normal : Direction
-        A unit vector.
-    radius : float
-        Of the sphere [m].
-    """
+    """Keep a sphere about a point on the positive side of a plane of the robot, such as the front of the trunk [m]."""
 
     point: Point | CenterOfMass
     origin: Point
+    """A point of the plane."""
     normal: Direction
+    """A unit vector."""
     radius: float = 0.0
+    """Of the sphere [m]."""
     function = over_moving_plane
 
     @property

@@ -41,20 +41,14 @@ _MARGIN = 1.25
 
 @dataclass(frozen=True)
 class Region:
-    """The shape by which pictures show a constraint.
-
-    Attributes
-    ----------
-    kind : str
-        ``cylinder`` (size: radius, height; along z), ``plane`` (x, y; normal z) or ``wall`` (x, z; normal y).
-    pose : ndarray, shape (8,)
-        Of its centre.
-    size : tuple of float [m]
-    """
+    """The shape by which pictures show a constraint."""
 
     kind: Literal["cylinder", "plane", "wall"]
+    """``cylinder`` (size: radius, height; along z), ``plane`` (x, y; normal z) or ``wall`` (x, z; normal y)."""
     pose: Array
+    """Of its centre, shape (8,)."""
     size: tuple[float, float]
+    """[m]"""
 
 
 class Look(NamedTuple):
@@ -87,31 +81,21 @@ def vfi(d: Array, bound: Array, eta: Array, return_speed: Array, dt: float) -> A
 
 @dataclass(frozen=True, kw_only=True)
 class Constraint(Quantity):
-    """Keep a signed distance at or above its bound: J u >= -eta (d - bound).
-
-    Attributes
-    ----------
-    eta : float
-        Rate [1/s]: a distance d may approach its bound at the speed eta (d - bound).
-    bound : float
-        Least distance allowed.
-    return_speed : float
-        Largest speed at which a distance below its bound is required to return [unit of the distance per second]. It
-        keeps the quadratic program feasible after a disturbance that violates the constraint.
-    near : float
-        Distance above its bound beyond which an inequality is left out of the quadratic program; by default it never
-        is. If the largest joint velocities can close a larger distance within a period, that distance counts.
-    look : Look
-    unit : str
-        Of its `margin`, ``m`` or ``rad``.
-    """
+    """Keep a signed distance at or above its bound: J u >= -eta (d - bound)."""
 
     eta: float
+    """Rate [1/s]: a distance d may approach its bound at the speed eta (d - bound)."""
     bound: float = 0.0
+    """Least distance allowed."""
     return_speed: float = math.inf
+    """Largest speed at which a distance below its bound is required to return [unit of the distance per second]. It
+    keeps the quadratic program feasible after a disturbance that violates the constraint."""
     near: float = math.inf
+    """Distance above its bound beyond which an inequality is left out of the quadratic program; by default it never is.
+    If the largest joint velocities can close a larger distance within a period, that distance counts."""
     look: Look = PLAIN
     unit: ClassVar[Literal["m", "rad"]] = "m"
+    """Of its `margin`, ``m`` or ``rad``."""
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the k rows."""
@@ -223,25 +207,17 @@ class PointInsideWall(Constraint):
     """Keep a point on one side of the vertical plane through a fixed and a moving point, (U9) and (U10) [m].
 
     The gradient with respect to the moving point gives the residual of [Marinho2019].
-
-    Attributes
-    ----------
-    point : Point or CenterOfMass
-    fixed : ndarray, shape (3,)
-        Point of the base foot [m].
-    moving : Point
-        Point of the end foot, with which the plane moves.
-    side : float
-        1 if the allowed side is to the left of the line from `fixed` to `moving`, -1 if it is to the right.
-    depth : float
-        Of the allowed region [m].
     """
 
     point: Point | CenterOfMass
     fixed: Array
+    """Point of the base foot, shape (3,) [m]."""
     moving: Point
+    """Point of the end foot, with which the plane moves."""
     side: float
+    """1 if the allowed side is to the left of the line from `fixed` to `moving`, -1 if it is to the right."""
     depth: float
+    """Of the allowed region [m]."""
     function = inside_wall
 
     @property
@@ -272,18 +248,11 @@ class PointInsideWall(Constraint):
 
 @dataclass(frozen=True, kw_only=True)
 class PointsOverPlane(Affine, Constraint):
-    """Keep points of a frame, such as the corners of a sole, on the positive side of a fixed plane, one row each [m].
-
-    Attributes
-    ----------
-    frame : str
-    points : ndarray, shape (k, 3)
-        Coordinates in the frame [m].
-    plane : Plane
-    """
+    """Keep points of a frame, such as corners of a sole, on the positive side of a fixed plane, one row each [m]."""
 
     frame: str
     points: Array
+    """Coordinates in the frame, shape (k, 3) [m]."""
     plane: Plane
 
     @cached_property
@@ -311,14 +280,10 @@ class ComInsideEdges(Affine, Constraint):
     """Keep the vertical through the CoM inside a convex polygon in the base sole's plane, one row per edge [m].
 
     Each edge is a plane; section 3.1 allows "as many planes as necessary".
-
-    Attributes
-    ----------
-    polygon : ConvexPolygon
-        Fixed in the base frame.
     """
 
     polygon: ConvexPolygon
+    """Fixed in the base frame."""
     watches = (CenterOfMassOnGround(),)
 
     @property
@@ -344,16 +309,11 @@ class AxisLevel(Affine, Constraint):
     """Inner product of a frame's z axis with a fixed direction: for small angles, the inclination along it [rad].
 
     As an equality along x and along y it keeps a sole parallel to the ground.
-
-    Attributes
-    ----------
-    frame : str
-    direction : ndarray, shape (3,)
-        Unit vector in the base frame.
     """
 
     frame: str
     direction: Array
+    """Unit vector in the base frame, shape (3,)."""
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -401,16 +361,11 @@ class FrameHeld(Constraint):
     """Pose error of a frame, six rows: p - p_d [m] and 2 Im(r r_d*), for small errors the rotation vector [rad].
 
     As an equality it holds the frame at the pose.
-
-    Attributes
-    ----------
-    frame : str
-    pose : ndarray, shape (8,)
-        x_d in the base frame, until `hold` replaces it.
     """
 
     frame: str
     pose: Array
+    """x_d in the base frame, until `hold` replaces it, shape (8,)."""
     function = held
 
     def hold(self, place: Array) -> None:

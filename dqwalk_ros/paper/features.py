@@ -205,27 +205,18 @@ class JointAngles(Feature):
 
 
 class Watched(NamedTuple):
-    """Features in the form that compiled code evaluates.
-
-    Attributes
-    ----------
-    functions : ndarray of int, shape (k,)
-        Their compiled functions.
-    places : ndarray of int, shape (k, 3)
-        Their bodies, and the beginning and the end of their coordinates in s (m,).
-    local : ndarray, shape (k, 8)
-        Pose, offset or direction in the frame of the body.
-    s : ndarray, shape (m,)
-        Coordinates, which `observe` fills in.
-    J : ndarray, shape (m, n)
-        Their Jacobian, too.
-    """
+    """Features in the form that compiled code evaluates."""
 
     functions: NDArray[np.int64]
+    """Their compiled functions, shape (k,)."""
     places: NDArray[np.int64]
+    """Their bodies, and the beginning and the end of their coordinates in s (m,), shape (k, 3)."""
     local: Array
+    """Pose, offset or direction in the frame of the body, shape (k, 8)."""
     s: Array
+    """Coordinates, which `observe` fills in, shape (m,)."""
     J: Array
+    """Their Jacobian, too, shape (m, n)."""
 
     @classmethod
     def of(cls, watches: Iterable[Sequence[Feature]], tree: SupportTree) -> tuple[Self, list[slice]]:
@@ -292,19 +283,12 @@ class Observer:
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity(ABC):
-    """An error of a `Task` or a distance of a `Constraint`: a function of the coordinates s of features, and of time.
-
-    Attributes
-    ----------
-    name : str
-    function : callable
-        Compiled function of the class: (s, parameters, elapsed) -> value (k,), gradient dvalue/ds (k, m), and rate
-        (k,), the derivative by time for features at rest. Arrays are float64; `elapsed` is the time since the phase
-        began [s].
-    """
+    """The error of a `Task` or distance of a `Constraint`: a function of the coordinates s of features, and of time."""
 
     name: str
     function: ClassVar[Callable[[Array, Array, float], tuple[Array, Array, Array]]]
+    """Compiled function of the class: (s, parameters, elapsed) -> value (k,), gradient dvalue/ds (k, m), and rate (k,),
+    the derivative by time for features at rest. Arrays are float64; `elapsed` is the time since the phase began [s]."""
 
     @property
     @abstractmethod

@@ -34,33 +34,22 @@ _ORIGIN = np.zeros(3)
 
 
 class Bodies(NamedTuple):
-    """What the features of the robot are computed from, in the base frame.
-
-    Attributes
-    ----------
-    q : ndarray, shape (n,)
-        Joint angles [rad].
-    up : ndarray, shape (3,)
-        Unit vector against gravity.
-    moves : ndarray of bool, shape (b, n)
-        Whether a joint moves a body.
-    poses : ndarray, shape (b, 8)
-        Poses of the bodies.
-    lines : ndarray, shape (n, 6)
-        Lines (l, m) of the joint axes.
-    com : ndarray, shape (3,)
-        Centre of mass [m].
-    com_jacobian : ndarray, shape (3, n)
-        [m/rad]
-    """
+    """What the features of the robot are computed from, in the base frame."""
 
     q: Array
+    """Joint angles, shape (n,) [rad]."""
     up: Array
+    """Unit vector against gravity, shape (3,)."""
     moves: Mask
+    """Whether a joint moves a body, shape (b, n)."""
     poses: Array
+    """Poses of the bodies, shape (b, 8)."""
     lines: Array
+    """Lines (l, m) of the joint axes, shape (n, 6)."""
     com: Array
+    """Centre of mass, shape (3,) [m]."""
     com_jacobian: Array
+    """Shape (3, n) [m/rad]."""
 
 
 class Place(NamedTuple):

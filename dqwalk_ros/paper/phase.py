@@ -58,86 +58,56 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class Next:
-    """What follows a phase.
-
-    Attributes
-    ----------
-    kind : PhaseKind
-    support : Foot
-    swing_target : ndarray, shape (8,), or None
-        x_d, the pose at which the swing sole lands, in the frame of the support sole; required for a single support.
-    """
+    """What follows a phase."""
 
     kind: PhaseKind
     support: Foot
     swing_target: Array | None = None
+    """x_d, the pose at which the swing sole lands, in the frame of the support sole, shape (8,); required for a single
+    support."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a walk changes in a phase that has begun.
-
-    Attributes
-    ----------
-    decision : str
-        What is changed, and why; it is published and recorded.
-    swing_target : ndarray, shape (8,), or None
-        The new x_d.
-    walk : Walk or None
-        A walk that takes over at the next state, until it has no more phases.
-    """
+    """What a walk changes in a phase that has begun."""
 
     decision: str
+    """What is changed, and why; it is published and recorded."""
     swing_target: Array | None = None
+    """The new x_d, shape (8,)."""
     walk: Walk | None = None
+    """A walk that takes over at the next state, until it has no more phases."""
 
 
 @dataclass(kw_only=True, eq=False)
 class Phase:
-    """One phase of a walk; nothing of it but `swing_target` and `decision` changes, by `apply`.
-
-    Attributes
-    ----------
-    model : RobotModel
-    kind : PhaseKind
-    support : Foot
-        The foot that carries the weight at the end of the phase; it is part of the phase's name.
-    base : Foot
-        The foot whose sole is the base frame: the support foot in single support, the other one in double support.
-    q_start : ndarray, shape (n,)
-        Joint angles at the start of the phase [rad].
-    swing_target : ndarray, shape (8,), or None
-        x_d, the pose at which the swing sole lands, in the base frame.
-    eta, damping : float
-        eta [1/s] and lambda of (U6).
-    tasks : tuple of Task
-        The phase's rule is applied to the error of the first one.
-    equalities : tuple of Constraint
-        Constraints d' = -eta (d - bound).
-    inequalities : tuple of Constraint
-        Constraints d' >= -eta (d - bound).
-    limits : tuple of JointMaximum and JointMinimum
-        Joint limits (U12) and (U13), which are bounds of u in the quadratic program.
-    rule : Rule
-        Condition that ends the phase.
-    decision : str
-        Description of a change of the swing target during the phase, and its reason; empty without a change.
-    """
+    """One phase of a walk; nothing of it but `swing_target` and `decision` changes, by `apply`."""
 
     model: RobotModel
     kind: PhaseKind
     support: Foot
+    """The foot that carries the weight at the end of the phase; it is part of the phase's name."""
     base: Foot
+    """The foot whose sole is the base frame: the support foot in single support, the other one in double support."""
     q_start: Array
+    """Joint angles at the start of the phase, shape (n,) [rad]."""
     swing_target: Array | None
+    """x_d, the pose at which the swing sole lands, in the base frame, shape (8,)."""
     eta: float
     damping: float
+    """eta [1/s] and lambda of (U6)."""
     tasks: tuple[Task, ...]
+    """The phase's rule is applied to the error of the first one."""
     equalities: tuple[Constraint, ...]
+    """Constraints d' = -eta (d - bound)."""
     inequalities: tuple[Constraint, ...]
+    """Constraints d' >= -eta (d - bound)."""
     limits: tuple[JointMaximum, JointMinimum]
+    """Joint limits (U12) and (U13), which are bounds of u in the quadratic program."""
     rule: Rule
+    """Condition that ends the phase."""
     decision: str = ""
+    """Description of a change of the swing target during the phase, and its reason; empty without a change."""
 
     @property
     def double(self) -> bool:

@@ -17,29 +17,19 @@ from dqwalk_ros.support.compiled import jit
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows of l equalities, m inequalities, and the upper and lower limits of n joints, in this order.
-
-    Attributes
-    ----------
-    names : tuple of str
-    spans : dict of str to slice
-        The rows of each constraint.
-    equalities : int
-        Number of equality rows, l.
-    numbers : ndarray, shape (3, l + m + 2n)
-        Bound, eta and return speed of each row.
-    near : ndarray, shape (l + m,)
-        Distance above its bound beyond which a row is left out of the program (`Constraint.near`).
-    radius : ndarray, shape (l + m + 2n,)
-        R of `sampled`: the height of the CoM at the start; zero for the joint limits [m].
-    """
+    """The rows of l equalities, m inequalities, and the upper and lower limits of n joints, in this order."""
 
     names: tuple[str, ...]
     spans: dict[str, slice]
+    """The rows of each constraint."""
     equalities: int
+    """Number of equality rows, l."""
     numbers: Array
+    """Bound, eta and return speed of each row, shape (3, l + m + 2n)."""
     near: Array
+    """Distance above its bound beyond which a row is left out of the program (`Constraint.near`), shape (l + m,)."""
     radius: Array
+    """R of `sampled`, shape (l + m + 2n,): the height of the CoM at the start; zero for the joint limits [m]."""
 
     @classmethod
     def of(

@@ -24,19 +24,13 @@ class Task(Quantity):
     """An error e(q) with e' = J u; the objective of (U6) contains weight ||J u + eta e||^2.
 
     If the error changes by time alone, because it is the distance from a path, that rate is subtracted.
-
-    Attributes
-    ----------
-    weight : float
-    eta : float or None
-        Rate at which the error converges [1/s]; by default that of the phase.
-    saturation : float
-        Norm at which the error is saturated, so that it converges at most at eta times this speed.
     """
 
     weight: float = 1.0
     eta: float | None = None
+    """Rate at which the error converges [1/s]; by default that of the phase."""
     saturation: float = math.inf
+    """Norm at which the error is saturated, so that it converges at most at eta times this speed."""
 
 
 # (p_CoM - p_foot)_xy of section 4.1
@@ -72,17 +66,11 @@ def pose_difference(s: Array, target: Array, elapsed: float) -> tuple[Array, Arr
 
 @dataclass(frozen=True, kw_only=True)
 class FramePose(Task):
-    """Moves a frame to a pose, section 4.2: e = vec8(x - x_d), with the sign of x that is closer to x_d.
-
-    Attributes
-    ----------
-    frame : str
-    target : ndarray, shape (8,)
-        x_d in the base frame.
-    """
+    """Moves a frame to a pose, section 4.2: e = vec8(x - x_d), with the sign of x that is closer to x_d."""
 
     frame: str
     target: Array
+    """x_d in the base frame, shape (8,)."""
     function = pose_difference
 
     @property

@@ -21,18 +21,12 @@ from dqwalk_ros.support.errors import ConfigError, PlantError
 
 
 class Plant(ABC):
-    """A simulator or a robot.
-
-    Attributes
-    ----------
-    physics : bool
-        Whether it simulates soles, servos and an inertial sensor: `truth`, `inertial` and `push`.
-    parameters : str
-        Name of the file in ``config/plants/`` with what it requires of all nodes; empty without one.
-    """
+    """A simulator or a robot."""
 
     physics: ClassVar[bool] = False
+    """Whether it simulates soles, servos and an inertial sensor: `truth`, `inertial` and `push`."""
     parameters: ClassVar[str] = ""
+    """Name of the file in ``config/plants/`` with what it requires of all nodes; empty without one."""
 
     @classmethod
     def of(cls, config: Config, model: RobotModel, q0: Array) -> Plant:
@@ -92,49 +86,32 @@ class Plant(ABC):
 
 @dataclass(slots=True, eq=False)
 class Inertial:
-    """Measurements of the inertial sensor.
-
-    Attributes
-    ----------
-    orientation : ndarray, shape (4,)
-        Unit quaternion (real part first) of the sensor's frame in the world.
-    gyro : ndarray, shape (3,)
-        Angular velocity in its frame [rad/s].
-    acceleration : ndarray, shape (3,)
-        Specific force in its frame: 9.81 upwards at rest [m/s^2].
-    """
+    """Measurements of the inertial sensor."""
 
     orientation: Array
+    """Unit quaternion (real part first) of the sensor's frame in the world, shape (4,)."""
     gyro: Array
+    """Angular velocity in its frame, shape (3,) [rad/s]."""
     acceleration: Array
+    """Specific force in its frame, shape (3,): 9.81 upwards at rest [m/s^2]."""
 
 
 @dataclass(slots=True, eq=False)
 class Truth:
-    """Ground truth of a simulator, which no sensor of the robot measures.
-
-    Attributes
-    ----------
-    pelvis : ndarray, shape (8,)
-        Pose of the pelvis in the world, whose xy plane is the floor.
-    soles : dict of Foot to ndarray, shape (8,)
-        Poses of the soles in the world.
-    wrenches : dict of Foot to ndarray, shape (6,)
-        Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes.
-    com : ndarray, shape (3,)
-        Centre of mass in the world [m].
-    q : ndarray, shape (n,)
-        Joint angles [rad].
-    effort : ndarray, shape (n,)
-        Torques of the servos on the joints, the mean of the last control period [N m].
-    """
+    """Ground truth of a simulator, which no sensor of the robot measures."""
 
     pelvis: Array
+    """Pose of the pelvis in the world, whose xy plane is the floor, shape (8,)."""
     soles: dict[Foot, Array]
+    """Poses of the soles in the world, shape (8,)."""
     wrenches: dict[Foot, Array]
+    """Force [N] and torque [N m] of the ground on each sole, about its origin, in its axes, shape (6,)."""
     com: Array
+    """Centre of mass in the world, shape (3,) [m]."""
     q: Array
+    """Joint angles, shape (n,) [rad]."""
     effort: Array
+    """Torques of the servos on the joints, the mean of the last control period, shape (n,) [N m]."""
 
     @property
     def cop(self) -> Array:

@@ -18,29 +18,19 @@ if TYPE_CHECKING:  # the help texts list the plants, and import no numpy
 
 @dataclass(frozen=True)
 class Entry:
-    """One plant.
-
-    Attributes
-    ----------
-    meaning : str
-    node : str
-        The node that runs it.
-    type : str
-        MODULE:CLASS of a simulator, a subclass of `Plant`; empty for a robot, which only its node can run.
-    parameters : str
-        Name of the file in ``config/plants/`` with what the plant requires of all nodes; empty without one.
-    physics : bool
-        Whether it simulates soles, servos and an inertial sensor.
-    requires : str
-        MODULE:FUNCTION of a configuration and a model that raises an error if the node of a robot would refuse them.
-    """
+    """One plant."""
 
     meaning: str
     node: str
+    """The node that runs it."""
     type: str = ""
+    """MODULE:CLASS of a simulator, a subclass of `Plant`; empty for a robot, which only its node can run."""
     parameters: str = ""
+    """Name of the file in ``config/plants/`` with what the plant requires of all nodes; empty without one."""
     physics: bool = False
+    """Whether it simulates soles, servos and an inertial sensor."""
     requires: str = ""
+    """MODULE:FUNCTION of a configuration and a model that raises an error if the node of a robot would refuse them."""
 
 
 _IDEAL = "dqwalk_ros.plants.kinematic:KinematicPlant"

@@ -24,20 +24,13 @@ _AT_LIMIT = 1e-6
 
 @dataclass(frozen=True)
 class Load:
-    """The largest part of a torque-speed curve that a walk needs.
-
-    Attributes
-    ----------
-    part : float
-        1: the servo cannot do more.
-    joint : str
-    time : float
-        [s]
-    """
+    """The largest part of a torque-speed curve that a walk needs."""
 
     part: float
+    """1: the servo cannot do more."""
     joint: str
     time: float
+    """[s]"""
 
     def __str__(self) -> str:
         return f"{self.joint} needs {100.0 * self.part:.0f} % of its torque-speed curve at {self.time:.2f} s"

@@ -68,19 +68,13 @@ def shortfall(way: float, commanded: float) -> str:
 
 @dataclass(frozen=True)
 class Circle:
-    """The circle of least squares through a path.
-
-    Attributes
-    ----------
-    center : ndarray, shape (2,)
-        In the world [m].
-    radius, deviation : float
-        Radius, and root mean square distance of the path from the circle [m].
-    """
+    """The circle of least squares through a path."""
 
     center: Array
+    """In the world, shape (2,) [m]."""
     radius: float
     deviation: float
+    """Radius, and root mean square distance of the path from the circle [m]."""
 
     @classmethod
     def through(cls, p: Array) -> Circle:

@@ -41,30 +41,21 @@ _GREY: _Rgba = (0.7, 0.72, 0.75, 1.0)
 
 @dataclass(frozen=True)
 class BodyShape:
-    """One visual shape of the robot.
-
-    Attributes
-    ----------
-    body : int
-        Index of the body to which it is attached.
-    kind : str
-        ``box`` (size: x, y, z), ``cylinder`` (radius, length; along z), ``sphere`` (radius), or ``mesh``.
-    size : tuple of float [m]
-    pose : ndarray, shape (8,)
-        In the frame of the body.
-    color : tuple of four float
-        Red, green, blue, opacity.
-    vertices, faces : ndarray, shapes (N, 3) [m] and (M, 3), or None
-        Of a mesh.
-    """
+    """One visual shape of the robot."""
 
     body: int
+    """Index of the body to which it is attached."""
     kind: str
+    """``box`` (size: x, y, z), ``cylinder`` (radius, length; along z), ``sphere`` (radius), or ``mesh``."""
     size: tuple[float, ...]
+    """[m]"""
     pose: Array
+    """In the frame of the body, shape (8,)."""
     color: _Rgba
+    """Red, green, blue, opacity."""
     vertices: Array | None = None
     faces: NDArray[np.int64] | None = None
+    """Of a mesh, shapes (N, 3) [m] and (M, 3)."""
 
 
 def shapes_of(config: Config, model: RobotModel) -> tuple[BodyShape, ...]:
@@ -124,31 +115,21 @@ class NamedRegion(NamedTuple):
 
 @dataclass(frozen=True)
 class Gauge:
-    """One margin against its threshold.
-
-    Attributes
-    ----------
-    value : float
-        Distance left to the threshold, which is at zero, in `unit`.
-    unit : str
-        ``mm`` or ``°``.
-    share : float
-        `value` relative to the largest possible one; the tightest margin has the smallest share.
-    role : str
-        ``kept`` (an inequality), ``held`` (an equality; `value` is its residual) or ``watched`` (not a constraint).
-    title : str
-        Of the constraint; empty if it has none.
-    color : tuple of int
-        Red, green, blue.
-    """
+    """One margin against its threshold."""
 
     name: str
     value: float
+    """Distance left to the threshold, which is at zero, in `unit`."""
     unit: str
+    """``mm`` or ``°``."""
     share: float
+    """`value` relative to the largest possible one; the tightest margin has the smallest share."""
     role: str
+    """``kept`` (an inequality), ``held`` (an equality; `value` is its residual) or ``watched`` (not a constraint)."""
     title: str = ""
+    """Of the constraint; empty if it has none."""
     color: Rgb = PLAIN.color
+    """Red, green, blue."""
 
     @property
     def label(self) -> str:
@@ -164,76 +145,54 @@ def _gauge(constraint: Constraint, d: float) -> Gauge:
 
 @dataclass(frozen=True)
 class Moment:
-    """A state of a walk and the phase it belongs to.
-
-    Attributes
-    ----------
-    time : float [s]
-    q : ndarray, shape (n,) [rad]
-    index : int
-        Number of the phase, 0, 1, ... from the beginning of the walk.
-    began : float
-        Time at which the phase began [s].
-    x_odom_base : ndarray, shape (8,)
-        Pose of the phase's base sole in odom.
-    label : str
-        Published state of the walk: the phase's name, ``finished``, ``failed``, ...
-    solver : str
-        Last message about the solver of the quadratic program.
-    dq : ndarray, shape (n,) [rad/s], or None
-        Joint velocities; None if not known.
-    up : ndarray, shape (3,), or None
-        Unit vector against gravity in the inertial sensor's frame; None without the sensor.
-    """
+    """A state of a walk and the phase it belongs to."""
 
     time: float
+    """[s]"""
     q: Array
+    """Shape (n,) [rad]."""
     phase: Phase
     index: int
+    """Number of the phase, 0, 1, ... from the beginning of the walk."""
     began: float
+    """Time at which the phase began [s]."""
     x_odom_base: Array
+    """Pose of the phase's base sole in odom, shape (8,)."""
     label: str = ""
+    """Published state of the walk: the phase's name, ``finished``, ``failed``, ..."""
     solver: str = ""
+    """Last message about the solver of the quadratic program."""
     dq: Array | None = None
+    """Joint velocities, shape (n,) [rad/s]; None if not known."""
     up: Array | None = None
+    """Unit vector against gravity in the inertial sensor's frame, shape (3,); None without the sensor."""
 
 
 @dataclass(frozen=True)
 class View:
-    """Everything to be drawn of a `Moment`; positions are in odom [m].
-
-    Attributes
-    ----------
-    level : str
-        Of the `Assessment`.
-    bodies : ndarray, shape (B, 8)
-        Pose of each body of the model.
-    soles : dict of Foot to ndarray, shape (8,)
-    com : ndarray, shape (3,)
-    ground : float
-        Height of the ground.
-    polygon : ndarray, shape (m, 3)
-        Support polygon, counter-clockwise.
-    target : ndarray, shape (8,), or None
-        Target pose of the swing sole.
-    error : float
-        Norm of the task error.
-    divergent : ndarray, shape (3,), or None
-        Divergent component of motion on the ground, as the joints say, where their velocities are known.
-    """
+    """Everything to be drawn of a `Moment`; positions are in odom [m]."""
 
     moment: Moment
     level: str
+    """Of the `Assessment`."""
     bodies: Array
+    """Pose of each body of the model, shape (B, 8)."""
     soles: dict[Foot, Array]
+    """Shape (8,)."""
     com: Array
+    """Shape (3,)."""
     ground: float
+    """Height of the ground."""
     polygon: Array
+    """Support polygon, counter-clockwise, shape (m, 3)."""
     target: Array | None
+    """Target pose of the swing sole, shape (8,)."""
     regions: tuple[NamedRegion, ...]
     gauges: tuple[Gauge, ...]
     error: float
+    """Norm of the task error."""
     divergent: Array | None = None
+    """Divergent component of motion on the ground, as the joints say, where their velocities are known, shape (3,)."""
 
 
 def tightest(gauges: Iterable[Gauge]) -> Gauge:

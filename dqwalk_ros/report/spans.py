@@ -15,21 +15,14 @@ from dqwalk_ros.trace import PhaseRecord
 
 @dataclass(frozen=True)
 class Ending:
-    """Quantities at the end of a phase, which is the first state of the next phase.
-
-    Attributes
-    ----------
-    error : float
-        Norm of the task error, as in `metrics.Series.error`.
-    com_to_axis : float
-        Horizontal distance of the CoM from the centre of the next support foot [m].
-    end : ndarray, shape (8,)
-        Pose of the other sole in the base sole's frame.
-    """
+    """Quantities at the end of a phase, which is the first state of the next phase."""
 
     error: float
+    """Norm of the task error, as in `metrics.Series.error`."""
     com_to_axis: float
+    """Horizontal distance of the CoM from the centre of the next support foot [m]."""
     end: Array
+    """Pose of the other sole in the base sole's frame, shape (8,)."""
 
     @classmethod
     def at(cls, model: RobotModel, phase: Phase, q: Array) -> Ending:
@@ -41,25 +34,17 @@ class Ending:
 
 @dataclass(frozen=True)
 class Span:
-    """One phase of the walk.
-
-    Attributes
-    ----------
-    record : PhaseRecord
-        The recorded start of the phase.
-    phase : Phase
-        The rebuilt phase.
-    start, end : int
-        Its ticks, ``start <= tick < end``.
-    ending : Ending or None
-        None if the walk stopped before the end of the phase, or the phase was interrupted.
-    """
+    """One phase of the walk."""
 
     record: PhaseRecord
+    """The recorded start of the phase."""
     phase: Phase
+    """The rebuilt phase."""
     start: int
     end: int
+    """Its ticks, ``start <= tick < end``."""
     ending: Ending | None
+    """None if the walk stopped before the end of the phase, or the phase was interrupted."""
 
     @property
     def ticks(self) -> slice:

@@ -49,24 +49,17 @@ _UNIT_TOLERANCE = 1e-12
 
 @dataclass(frozen=True)
 class Assessment:
-    """The assessment of one state.
-
-    Attributes
-    ----------
-    level : str
-        ``"OK"``, ``"WARN"`` if a distance is closer to its bound than ``monitor.warn_margin``, ``"ERROR"`` if one is
-        beyond its bound, or the residual of an equality larger than at the start of its phase, by more than
-        ``monitor.tolerance``.
-    message : str
-        The phase, and the reason for the level.
-    values : mapping of str to float
-        ``distance/NAME``, ``residual/NAME``, ``error``, and the margins: ``margin/paper`` of the CoM to the paper's
-        planes (U9), (U10) or cylinder (U14), ``margin/polygon`` to the true support polygon, ``margin/joints``.
-    """
+    """The assessment of one state."""
 
     level: str
+    """``"OK"``, ``"WARN"`` if a distance is closer to its bound than ``monitor.warn_margin``, ``"ERROR"`` if one is
+    beyond its bound, or the residual of an equality larger than at the start of its phase, by more than
+    ``monitor.tolerance``."""
     message: str
+    """The phase, and the reason for the level."""
     values: Mapping[str, float]
+    """``distance/NAME``, ``residual/NAME``, ``error``, and the margins: ``margin/paper`` of the CoM to the paper's
+    planes (U9), (U10) or cylinder (U14), ``margin/polygon`` to the true support polygon, ``margin/joints``."""
 
 
 class Assessor:
@@ -127,26 +120,18 @@ def _has_bound(row: Constraint) -> bool:
 
 @dataclass(frozen=True)
 class Violation:
-    """A violated rule.
-
-    Attributes
-    ----------
-    what : str
-        Name of the distance or of the rule.
-    phase : str
-        Name of the phase; empty for a rule of the whole walk.
-    time, value, allowed : float
-        Time [s], and value and its bound in the unit of the distance.
-    message : str
-        All of this in one sentence.
-    """
+    """A violated rule."""
 
     what: str
+    """Name of the distance or of the rule."""
     phase: str
+    """Name of the phase; empty for a rule of the whole walk."""
     time: float
     value: float
     allowed: float
+    """Time [s], and value and its bound in the unit of the distance."""
     message: str
+    """All of this in one sentence."""
 
 
 def violations(series: Series) -> list[Violation]:

@@ -14,20 +14,14 @@ FASTEST = 100.0
 
 
 class JointLimits(NamedTuple):
-    """Names and limits of n joints that are not those of a `RobotModel`, which has them too.
-
-    Attributes
-    ----------
-    joint_names : tuple of str
-    q_min, q_max, velocity_max, effort_max : ndarray, shape (n,)
-        [rad], [rad/s], [N m]
-    """
+    """Names and limits of n joints that are not those of a `RobotModel`, which has them too."""
 
     joint_names: tuple[str, ...]
     q_min: Array
     q_max: Array
     velocity_max: Array
     effort_max: Array
+    """Shape (n,) [rad], [rad/s], [N m]."""
 
 
 def outside_limits(q: Array, limits: JointLimits | RobotModel, slack: float) -> str:

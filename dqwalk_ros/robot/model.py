@@ -40,22 +40,15 @@ _REMEMBERED = 2**20
 
 @dataclass(frozen=True)
 class Sole:
-    """A rectangular sole; its points are in the frame of its link, x forward, z up, ground at z = 0.
-
-    Attributes
-    ----------
-    frame : str
-        Name of the URDF link.
-    center : ndarray, shape (3,)
-        Centre of the rectangle [m].
-    length, width : float
-        Along x and y [m].
-    """
+    """A rectangular sole; its points are in the frame of its link, x forward, z up, ground at z = 0."""
 
     frame: str
+    """Name of the URDF link."""
     center: Array
+    """Centre of the rectangle, shape (3,) [m]."""
     length: float
     width: float
+    """Along x and y [m]."""
 
     @property
     def tip(self) -> Array:
@@ -84,33 +77,22 @@ class Sole:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body: a link and all links that fixed or locked joints connect to it.
-
-    Attributes
-    ----------
-    parent : int
-        Index of the parent body, -1 for the root.
-    joint : int
-        Index of the joint that moves it, -1 for the root.
-    origin : ndarray, shape (8,)
-        Pose of the joint in the frame of the parent body.
-    axis : ndarray, shape (3,)
-        Unit vector of the joint axis in the joint's frame, which is also the body's frame.
-    mass : float
-        [kg]
-    com : ndarray, shape (3,)
-        Centre of mass in the body's frame [m].
-    inertia : ndarray, shape (3, 3)
-        About the centre of mass, in axes of the body's frame [kg m^2].
-    """
+    """A rigid body: a link and all links that fixed or locked joints connect to it."""
 
     parent: int
+    """Index of the parent body, -1 for the root."""
     joint: int
+    """Index of the joint that moves it, -1 for the root."""
     origin: Array
+    """Pose of the joint in the frame of the parent body, shape (8,)."""
     axis: Array
+    """Unit vector of the joint axis in the joint's frame, which is also the body's frame, shape (3,)."""
     mass: float
+    """[kg]"""
     com: Array
+    """Centre of mass in the body's frame, shape (3,) [m]."""
     inertia: Array
+    """About the centre of mass, in axes of the body's frame, shape (3, 3) [kg m^2]."""
 
 
 @dataclass(frozen=True)
@@ -123,48 +105,33 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """The model of a biped; `load_model` reads it from a URDF.
-
-    Attributes
-    ----------
-    joint_names : tuple of str
-        Names of the n joints that move, parents before children.
-    q_min, q_max, velocity_max, effort_max : ndarray, shape (n,)
-        Limits of joint angles [rad], velocities [rad/s] and torques [N m].
-    bodies : tuple of Body
-        Parents before children; body 0 is the root.
-    frames : mapping of str to Frame
-        Frames of all remaining links of the URDF.
-    soles : mapping of Foot to Sole
-    pelvis : str
-        Frame whose height (U11) bounds.
-    imu : str
-        Frame of the inertial sensor, as it is mounted.
-    imu_link : str
-        The link that its messages name.
-    urdf : str
-        URDF of the reduced robot: repaired, without dropped links, with locked joints as fixed joints.
-    repairs : tuple of str
-        Each invalid value of the file, and the value that replaces it.
-    locked : mapping of str to float
-        Joints that are fixed instead of moving, and their angles [rad].
-    """
+    """The model of a biped; `load_model` reads it from a URDF."""
 
     name: str
     joint_names: tuple[str, ...]
+    """Names of the n joints that move, parents before children."""
     q_min: Array
     q_max: Array
     velocity_max: Array
     effort_max: Array
+    """Limits of joint angles [rad], velocities [rad/s] and torques [N m], each of shape (n,)."""
     bodies: tuple[Body, ...]
+    """Parents before children; body 0 is the root."""
     frames: Mapping[str, Frame]
+    """Frames of all remaining links of the URDF."""
     soles: Mapping[Foot, Sole]
     pelvis: str
+    """Frame whose height (U11) bounds."""
     imu: str
+    """Frame of the inertial sensor, as it is mounted."""
     imu_link: str
+    """The link that its messages name."""
     urdf: str = field(repr=False)
+    """URDF of the reduced robot: repaired, without dropped links, with locked joints as fixed joints."""
     repairs: tuple[str, ...] = ()
+    """Each invalid value of the file, and the value that replaces it."""
     locked: Mapping[str, float] = field(default_factory=dict, repr=False)
+    """Joints that are fixed instead of moving, and their angles [rad]."""
 
     @property
     def n(self) -> int:

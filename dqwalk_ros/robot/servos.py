@@ -87,33 +87,23 @@ class Servos:
     """The servos of the simulated robot: tau = clip(stiffness e - damping dq, +-torque) - back_emf dq.
 
     All arrays have the shape (n,); e is the position error.
-
-    Attributes
-    ----------
-    stiffness : ndarray
-        [N m/rad]
-    damping, back_emf : ndarray
-        [N m s/rad]
-    torque : ndarray
-        Stall torque [N m].
-    backlash : ndarray
-        Total play of the gears [rad].
-    friction : ndarray
-        Dry friction [N m].
-    armature : ndarray
-        Inertia of the rotor, reflected through the gears [kg m^2].
-    resolution : ndarray
-        Step size of the goal positions [rad]; 0: continuous.
     """
 
     stiffness: Array
+    """[N m/rad]"""
     damping: Array
     back_emf: Array
+    """[N m s/rad]"""
     torque: Array
+    """Stall torque [N m]."""
     backlash: Array
+    """Total play of the gears [rad]."""
     friction: Array
+    """Dry friction [N m]."""
     armature: Array
+    """Inertia of the rotor, reflected through the gears [kg m^2]."""
     resolution: Array
+    """Step size of the goal positions [rad]; 0: continuous."""
 
     @classmethod
     def of(cls, config: Config, model: RobotModel) -> Servos:
@@ -192,29 +182,21 @@ class Servos:
 
 @dataclass(frozen=True)
 class Drive:
-    """The model of the servos that the controller uses; it may differ from the true servos.
-
-    Attributes
-    ----------
-    stiffness : ndarray, shape (n,)
-        Stiffness by which feedforward torques are converted to offsets of the goal [N m/rad]; 0: no feedforward.
-    lag : ndarray, shape (n,)
-        Torque per joint velocity by which a servo lags: its damping and back EMF [N m s/rad].
-    lead : ndarray, shape (n,)
-        Torque per commanded velocity by which the goal is ahead, against the damping of a servo [N m s/rad]. It is in
-        addition to a command's torques and to their limits, because the servo takes it away again.
-    armature : ndarray, shape (n,)
-        Inertia of the rotor, reflected through the gears [kg m^2].
-    delay : float
-        Time from a measurement to the effect of its command [s]: latency, half of the period at which goals are
-        written, and the lag by damping minus the lead.
-    """
+    """The model of the servos that the controller uses; it may differ from the true servos."""
 
     stiffness: Array
+    """Stiffness by which feedforward torques are converted to offsets of the goal, shape (n,) [N m/rad]; 0: no
+    feedforward."""
     lag: Array
+    """Torque per joint velocity by which a servo lags, shape (n,): its damping and back EMF [N m s/rad]."""
     lead: Array
+    """Torque per commanded velocity by which the goal is ahead, against the damping of a servo, shape (n,) [N m s/rad].
+    It is in addition to a command's torques and to their limits, because the servo takes it away again."""
     armature: Array
+    """Inertia of the rotor, reflected through the gears, shape (n,) [kg m^2]."""
     delay: float
+    """Time from a measurement to the effect of its command [s]: latency, half of the period at which goals are written,
+    and the lag by damping minus the lead."""
 
     @classmethod
     def of(cls, config: Config, model: RobotModel) -> Drive:

@@ -32,24 +32,16 @@ _CLOSER = 0.22
 
 @dataclass(frozen=True)
 class Surface:
-    """A triangulated shape in the frame of its link.
-
-    Attributes
-    ----------
-    vertices : ndarray, shape (N, 3)
-        [m]
-    faces : ndarray of int, shape (M, 3)
-        Indices of the vertices of each triangle.
-    color : tuple of four float, or None
-        Red, green, blue, opacity.
-    what : str
-        Kind of the shape, or name of the mesh file.
-    """
+    """A triangulated shape in the frame of its link."""
 
     vertices: Array
+    """Shape (N, 3) [m]."""
     faces: NDArray[np.int64]
+    """Indices of the vertices of each triangle, shape (M, 3)."""
     color: tuple[float, float, float, float] | None
+    """Red, green, blue, opacity."""
     what: str
+    """Kind of the shape, or name of the mesh file."""
 
 
 class Shapes:

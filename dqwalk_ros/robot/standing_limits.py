@@ -28,24 +28,16 @@ DAMPING = 0.3
 
 @dataclass(frozen=True)
 class Finding:
-    """A problem of a configuration, or a cause of a fall.
-
-    Attributes
-    ----------
-    message : str
-        A sentence with the measured value.
-    parameter : str
-        Parameters to change; empty if unknown.
-    what : str
-        Kind of the problem in one word, such as ``stiffness``.
-    time : float
-        Time from which on it acted [s].
-    """
+    """A problem of a configuration, or a cause of a fall."""
 
     message: str
+    """A sentence with the measured value."""
     parameter: str
+    """Parameters to change; empty if unknown."""
     what: str = ""
+    """Kind of the problem in one word, such as ``stiffness``."""
     time: float = 0.0
+    """Time from which on it acted [s]."""
 
     def __str__(self) -> str:
         return f"{self.message} ({self.parameter})" if self.parameter else self.message

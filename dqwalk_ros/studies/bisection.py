@@ -7,21 +7,14 @@ from typing import NamedTuple
 
 
 class Bracket(NamedTuple):
-    """The interval that contains the limit.
-
-    Attributes
-    ----------
-    survived : float
-        The largest load that was survived.
-    failed : float or None
-        The smallest load that was not, at most the tolerance above `survived`; None if no load failed.
-    reason : str
-        Why it was not survived.
-    """
+    """The interval that contains the limit."""
 
     survived: float
+    """The largest load that was survived."""
     failed: float | None
+    """The smallest load that was not, at most the tolerance above `survived`; None if no load failed."""
     reason: str
+    """Why it was not survived."""
 
 
 def largest(fails: Callable[[float], str], first: float, most: float, tolerance: float) -> Bracket:

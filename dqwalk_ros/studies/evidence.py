@@ -46,50 +46,33 @@ _HEIGHTS = ("physics.rubble", "physics.rise")
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A claim: a walk with several seeds of the sensors' errors, or a walk with pushes.
-
-    Attributes
-    ----------
-    name : str
-    config : str
-        As ``--config``.
-    plant : str
-        Name of a file in ``config/plants/``, without the engine.
-    params : list of str
-        As ``--params``, before `set`.
-    use : list of str
-        Names of sets of parameters in the file.
-    set : dict
-        Parameters, as ``--set``, with precedence over those sets.
-    cmd_vel : list of str
-        Legs of a steered walk, as ``--cmd-vel``.
-    seeds : int
-        Number of walks, with ``sensors.seed`` `first`, `first` + 1, ...
-    first : int
-    hands : float
-        Interval after which each hand gets a new random pose in the trunk [s]; 0: none. Needs ``arms.joints``.
-    course : float
-        Duration of a course of random velocities, another one for each seed (`Course.random`) [s]; 0: none.
-    push : float
-        Impulse of each push [N s], in 8 directions, on either foot, at 4 moments of a step; 0: walks without a push. On
-        a random course: that of a push on a random link in each of its legs.
-    anywhere : bool
-        Whether each push is on a random link, in a random direction and moment (`Push.anywhere`), one for each seed.
-    """
+    """A claim: a walk with several seeds of the sensors' errors, or a walk with pushes."""
 
     name: Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f-\x9f]+$")]
     config: str
+    """As ``--config``."""
     plant: Literal["physics", "poppy_as_built"] = "physics"
+    """Name of a file in ``config/plants/``, without the engine."""
     params: list[str] = []
+    """As ``--params``, before `set`."""
     use: list[str] = []
+    """Names of sets of parameters in the file."""
     set: dict[str, Any] = {}
+    """Parameters, as ``--set``, with precedence over those sets."""
     cmd_vel: list[str] = []
+    """Legs of a steered walk, as ``--cmd-vel``."""
     seeds: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 20
+    """Number of walks, with ``sensors.seed`` `first`, `first` + 1, ..."""
     first: Annotated[int, msgspec.Meta(ge=0, le=10**6)] = 1
     hands: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0
+    """Interval after which each hand gets a new random pose in the trunk [s]; 0: none. Needs ``arms.joints``."""
     course: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 0.0
+    """Duration of a course of random velocities, another one for each seed (`Course.random`) [s]; 0: none."""
     push: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] = 0.0
+    """Impulse of each push [N s], in 8 directions, on either foot, at 4 moments of a step; 0: walks without a push. On
+    a random course: that of a push on a random link in each of its legs."""
     anywhere: bool = False
+    """Whether each push is on a random link, in a random direction and moment (`Push.anywhere`), one for each seed."""
 
     @property
     def steered(self) -> bool:
@@ -124,35 +107,24 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class WalkOutcome(msgspec.Struct, frozen=True):
-    """The outcome of a walk; of a walk with a push only whether it stood, and why not.
-
-    Attributes
-    ----------
-    stood : bool
-        Whether it was finished upright, and its soles covered the path of its steps (`report.ground.shortfall`).
-    reason : str
-        Why it did not stand, or what is not OK.
-    ok : bool or None
-        Whether its report is OK.
-    tilt, landing : float or None
-        Largest tilt of the loaded sole [rad], largest landing error [m].
-    inside : float or None
-        Fraction of the states with the pressure inside the support polygon.
-    speed : float or None
-        Distance over time, of the whole walk [m/s].
-    touching : int or None
-        Number of states in which links of the robot touch each other, summed over pairs (`plants.mujoco.own_contacts`);
-        None in another engine, and if MuJoCo cannot read the shapes of the robot.
-    """
+    """The outcome of a walk; of a walk with a push only whether it stood, and why not."""
 
     stood: bool
+    """Whether it was finished upright, and its soles covered the path of its steps (`report.ground.shortfall`)."""
     reason: str = ""
+    """Why it did not stand, or what is not OK."""
     ok: bool | None = None
+    """Whether its report is OK."""
     tilt: float | None = None
     landing: float | None = None
+    """Largest tilt of the loaded sole [rad], largest landing error [m]."""
     inside: float | None = None
+    """Fraction of the states with the pressure inside the support polygon."""
     speed: float | None = None
+    """Distance over time, of the whole walk [m/s]."""
     touching: int | None = None
+    """Number of states in which links of the robot touch each other, summed over pairs (`plants.mujoco.own_contacts`);
+    None in another engine, and if MuJoCo cannot read the shapes of the robot."""
 
 
 def read(path: str) -> dict[str, Row]:

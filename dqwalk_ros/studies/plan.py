@@ -47,24 +47,17 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Study:
-    """A valid study.
-
-    Attributes
-    ----------
-    config : Config
-        The configuration common to all walks.
-    sample : str
-        ``"grid"``, ``"latin_hypercube"`` or ``"sobol"``.
-    vary : mapping of str to Range or tuple
-        A range, or a tuple of values.
-    """
+    """A valid study."""
 
     name: str
     config: Config
+    """The configuration common to all walks."""
     sample: str
+    """``"grid"``, ``"latin_hypercube"`` or ``"sobol"``."""
     count: int
     seed: int
     vary: Mapping[str, Range | tuple[Any, ...]]
+    """A range, or a tuple of values."""
 
     def points(self) -> list[dict[str, Any]]:
         """Return the parameters of every walk; the same study gives the same list."""

@@ -50,33 +50,22 @@ _FIRST, _MOST, _TOLERANCE = 0.045, 1.5, 0.0036
 
 @dataclass(frozen=True)
 class Push:
-    """A push on the pelvis or another link: a constant force for some time, or a bottle on a rope.
-
-    Attributes
-    ----------
-    moment : str
-        One of `MOMENTS`.
-    direction : float
-        Direction of the force, 0 ahead, pi/2 to the left [rad].
-    impulse : float
-        Of the force, or momentum of the bottle [N s].
-    duration : float
-        Of the force: rounded to whole control periods, without an effect on the impulse [s].
-    part : float
-        Fraction of the step after which the push begins.
-    bottle : float
-        Mass of the bottle [kg], which hits the pelvis; 0: a constant force.
-    link : str
-        The link that the force pushes, at its centre of mass; empty: the pelvis.
-    """
+    """A push on the pelvis or another link: a constant force for some time, or a bottle on a rope."""
 
     moment: str
+    """One of `MOMENTS`."""
     direction: float
+    """Direction of the force, 0 ahead, pi/2 to the left [rad]."""
     impulse: float
+    """Of the force, or momentum of the bottle [N s]."""
     duration: float = 0.1
+    """Of the force: rounded to whole control periods, without an effect on the impulse [s]."""
     part: float = 0.5
+    """Fraction of the step after which the push begins."""
     bottle: float = 0.0
+    """Mass of the bottle [kg], which hits the pelvis; 0: a constant force."""
     link: str = ""
+    """The link that the force pushes, at its centre of mass; empty: the pelvis."""
 
     @classmethod
     def anywhere(cls, impulse: float, model: RobotModel, seed: int) -> Self:
@@ -103,25 +92,17 @@ class Push:
 
 
 class Limit(msgspec.Struct, frozen=True):
-    """The limit in one direction.
-
-    Attributes
-    ----------
-    direction : float
-        [rad]
-    survived : float
-        Largest impulse survived, or momentum of the bottle [N s].
-    failed : float or None
-        Smallest impulse that was not survived [N s]; None if the largest one tried was survived.
-    reason : str
-        Why the walk ended at `failed`.
-    """
+    """The limit in one direction."""
 
     moment: str
     direction: float
+    """[rad]"""
     survived: float
+    """Largest impulse survived, or momentum of the bottle [N s]."""
     failed: float | None
+    """Smallest impulse that was not survived [N s]; None if the largest one tried was survived."""
     reason: str
+    """Why the walk ended at `failed`."""
 
 
 def impulse_scale(config: Config) -> float:

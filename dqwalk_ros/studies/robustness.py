@@ -49,36 +49,24 @@ def axes_of(config: Config) -> dict[str, tuple[float, ...]]:
 
 
 class CellOutcome(msgspec.Struct, frozen=True):
-    """The outcome of a walk.
-
-    Attributes
-    ----------
-    stood : bool
-        Whether the robot was upright at the end of the walk, and its soles covered the path of its steps.
-    time : float
-        Time at which the walk ended [s].
-    steps : int
-        Number of completed steps.
-    reason : str
-        Why it did not stand.
-    tilt : float or None
-        Largest tilt of the loaded sole [rad].
-    load : float or None
-        Largest part of its torque-speed curve that a servo needed; 1: it cannot do more.
-    joint : str
-        The joint of that servo.
-    reached : mapping of str to int
-        Number of ticks of the steps on which the velocity of a joint was at a limit, by the limit's name.
-    """
+    """The outcome of a walk."""
 
     stood: bool
+    """Whether the robot was upright at the end of the walk, and its soles covered the path of its steps."""
     time: float
+    """Time at which the walk ended [s]."""
     steps: int
+    """Number of completed steps."""
     reason: str
+    """Why it did not stand."""
     tilt: float | None = None
+    """Largest tilt of the loaded sole [rad]."""
     load: float | None = None
+    """Largest part of its torque-speed curve that a servo needed; 1: it cannot do more."""
     joint: str = ""
+    """The joint of that servo."""
     reached: Mapping[str, int] = {}
+    """Number of ticks of the steps on which the velocity of a joint was at a limit, by the limit's name."""
 
 
 Cell = tuple[Mapping[str, float], CellOutcome]

@@ -62,26 +62,18 @@ _SLOPES = np.radians([0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0])
 
 @dataclass(frozen=True)
 class Gait:
-    """A step of a walk.
-
-    Attributes
-    ----------
-    single, double : float
-        Durations of single and double support [s].
-    length, height : float
-        [m]
-    slope : float
-        Inclination of the floor, positive: it rises ahead [rad].
-    lower : float
-        Distance by which the CoM is lower than in the posture of the walk [m].
-    """
+    """A step of a walk."""
 
     single: float
     double: float
+    """Durations of single and double support [s]."""
     length: float
     height: float
+    """[m]"""
     slope: float = 0.0
+    """Inclination of the floor, positive: it rises ahead [rad]."""
     lower: float = 0.0
+    """Distance by which the CoM is lower than in the posture of the walk [m]."""
 
     @classmethod
     def of(cls, config: Config) -> Gait:
@@ -110,26 +102,18 @@ class Gait:
 
 @dataclass(frozen=True)
 class Step:
-    """Angles and torques of all joints in a step on the left foot.
-
-    Attributes
-    ----------
-    q, velocity, acceleration : ndarray, shape (N, n)
-        [rad, rad/s, rad/s^2]
-    torque : ndarray, shape (N, n)
-        [N m]
-    stuck : tuple of str
-        Joints at their limits where the legs do not reach the step.
-    off : float
-        Largest error of the postures [m]; zero for a step within the reach of the legs.
-    """
+    """Angles and torques of all joints in a step on the left foot."""
 
     q: Array
     velocity: Array
     acceleration: Array
+    """Shape (N, n) [rad, rad/s, rad/s^2]."""
     torque: Array
+    """Shape (N, n) [N m]."""
     stuck: tuple[str, ...]
+    """Joints at their limits where the legs do not reach the step."""
     off: float
+    """Largest error of the postures [m]; zero for a step within the reach of the legs."""
 
 
 def step(config: Config, model: RobotModel, gait: Gait) -> Step:
@@ -230,52 +214,34 @@ def own_servos(config: Config, model: RobotModel) -> Servos:
 
 @dataclass(frozen=True)
 class Most:
-    """The largest value that servos allow.
-
-    Attributes
-    ----------
-    value : float
-    joint : str
-        The joint that binds, of both legs the left one; empty if none does.
-    sign : str
-        ``>``: no servo binds within the reach of the legs, whose end is the value; ``<``: the least value that was
-        tried is too much; else empty.
-    """
+    """The largest value that servos allow."""
 
     value: float
     joint: str
+    """The joint that binds, of both legs the left one; empty if none does."""
     sign: str = ""
+    """``>``: no servo binds within the reach of the legs, whose end is the value; ``<``: the least value that was tried
+    is too much; else empty."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What one type of servo in all joints of the legs allows.
-
-    Attributes
-    ----------
-    name : str
-    voltage : float
-        [V]; 0 for the servos of the configuration.
-    speed : Most
-        [m/s], by the best of the steps that are tried.
-    joints : dict of str to Most
-        Largest speed of each joint of a leg alone, the others being strong enough [m/s].
-    height, slope : Most
-        Largest height of a step [m] and slope [rad], at the step length of the configuration.
-    push : float
-        Largest push ahead that is caught by steps as long as the servos allow, with the pressure at the toes [N s].
-    warm : float
-        Largest RMS torque of a joint at the speed of the configuration, as a fraction of its stall torque.
-    """
+    """What one type of servo in all joints of the legs allows."""
 
     name: str
     voltage: float
+    """[V]; 0 for the servos of the configuration."""
     speed: Most
+    """[m/s], by the best of the steps that are tried."""
     joints: dict[str, Most]
+    """Largest speed of each joint of a leg alone, the others being strong enough [m/s]."""
     height: Most
     slope: Most
+    """Largest height of a step [m] and slope [rad], at the step length of the configuration."""
     push: float
+    """Largest push ahead that is caught by steps as long as the servos allow, with the pressure at the toes [N s]."""
     warm: float
+    """Largest RMS torque of a joint at the speed of the configuration, as a fraction of its stall torque."""
 
 
 def leg_pairs(model: RobotModel) -> list[tuple[int, int]]:

@@ -27,31 +27,23 @@ from dqwalk_ros.walks.table import make_controller, make_walk, refuse_endless
 
 
 class StudyOutcome(msgspec.Struct, frozen=True, kw_only=True):
-    """The outcome of a walk; numbers are None if it could not begin.
-
-    Attributes
-    ----------
-    end : str
-        Why it did not finish.
-    duration : float
-        [s]
-    error : float
-        Of the last phase.
-    paper, true, joints : float
-        Smallest margin of the walk to the paper's planes and cylinder, to the edges of the soles [m], and to the joint
-        limits [rad]; ``margin/paper`` and so on in files. None where it has no meaning: `paper` in a walk of another
-        style, `true` for a robot whose soles have no shape.
-    """
+    """The outcome of a walk; numbers are None if it could not begin."""
 
     finished: bool
     end: str
+    """Why it did not finish."""
     duration: float | None = None
+    """[s]"""
     ticks: int | None = None
     steps: int | None = None
     error: float | None = None
+    """Of the last phase."""
     paper: float | None = msgspec.field(default=None, name="margin/paper")
     true: float | None = msgspec.field(default=None, name="margin/true")
     joints: float | None = msgspec.field(default=None, name="margin/joints")
+    """Smallest margin of the walk to the paper's planes and cylinder, to the edges of the soles [m], and to the joint
+    limits [rad]; ``margin/paper`` and so on in files. None where it has no meaning: `paper` in a walk of another style,
+    `true` for a robot whose soles have no shape."""
 
 
 def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> StudyOutcome:

@@ -28,29 +28,20 @@ FAILED = "failed"
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic: name, message type and quality of service of its publisher.
-
-    Attributes
-    ----------
-    name : str
-        Name in the namespace of the robot; a leading ``/`` keeps it out of any namespace.
-    type : str
-        Message type.
-    latched : bool
-        Durability transient local: a late subscriber receives the last `depth` messages.
-    depth : int
-        History depth of the publisher.
-    source : str
-        Publishing node: ``"plant"``, ``"controller"``, ``"physics"`` (only the plant of that name), ``"effort"`` (the
-        controller, if joint_states has torques), ``"warning"`` (a plant, or another node of the robot, with a reason)
-        or ``"all"``.
-    """
+    """One topic: name, message type and quality of service of its publisher."""
 
     name: str
+    """Name in the namespace of the robot; a leading ``/`` keeps it out of any namespace."""
     type: str
+    """Message type."""
     latched: bool
+    """Durability transient local: a late subscriber receives the last `depth` messages."""
     depth: int
+    """History depth of the publisher."""
     source: str = "controller"
+    """Publishing node: ``"plant"``, ``"controller"``, ``"physics"`` (only the plant of that name), ``"effort"`` (the
+    controller, if joint_states has torques), ``"warning"`` (a plant, or another node of the robot, with a reason) or
+    ``"all"``."""
 
 
 OPTIONAL = ("physics", "effort", "warning")

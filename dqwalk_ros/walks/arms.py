@@ -71,21 +71,14 @@ class Live:
 
 @dataclass(frozen=True, kw_only=True)
 class Beside(Live, Affine, Task):
-    """Task e = A s - b of which all numbers may change with every state.
-
-    Attributes
-    ----------
-    features : tuple of Feature
-        With m coordinates s.
-    numbers : ndarray, shape (k (m + 2),)
-        b, its derivative by time, and the rows of A.
-    size : int
-        Number k of errors.
-    """
+    """Task e = A s - b of which all numbers may change with every state."""
 
     features: tuple[Feature, ...]
+    """With m coordinates s."""
     numbers: Array
+    """b, its derivative by time, and the rows of A, shape (k (m + 2),)."""
     size: int
+    """Number k of errors."""
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -105,21 +98,14 @@ def _parts(numbers: Array, size: int) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True)
 class JointPath:
-    """Path of one joint: cubic where velocities are given at the points, otherwise straight from point to point.
-
-    Attributes
-    ----------
-    times : ndarray, shape (k,)
-        Increasing [s].
-    angles : ndarray, shape (k,)
-        [rad]
-    velocities : ndarray, shape (k,), or None
-        [rad/s]
-    """
+    """Path of one joint: cubic where velocities are given at the points, otherwise straight from point to point."""
 
     times: Array
+    """Increasing, shape (k,) [s]."""
     angles: Array
+    """Shape (k,) [rad]."""
     velocities: Array | None = None
+    """Shape (k,) [rad/s]."""
 
     def at(self, time: float) -> tuple[float, float]:
         """Return angle [rad] and velocity [rad/s] at a time [s]; before and after the path the joint is at rest."""
@@ -155,15 +141,10 @@ def _cubic(h: float, way: float, begin: float, end: float) -> tuple[float, float
 
 @dataclass
 class _Approach:
-    """Whether something comes closer to where it was sent.
-
-    Attributes
-    ----------
-    enough : float
-        Least progress within `_PATIENCE`, and half of the distance that counts as arrived [m, rad].
-    """
+    """Whether something comes closer to where it was sent."""
 
     enough: float
+    """Least progress within `_PATIENCE`, and half of the distance that counts as arrived [m, rad]."""
     least: float = math.inf
     since: float = math.nan
     told: bool = False
@@ -203,19 +184,13 @@ def _hand_in_trunk(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Ar
 
 @dataclass(frozen=True, kw_only=True)
 class HandInTrunk(Live, Task):
-    """Task that a hand follows a pose in the trunk, which may change with every state.
-
-    Attributes
-    ----------
-    hand, trunk : str
-        Links.
-    numbers : ndarray, shape (14,)
-        Parameters of `_hand_in_trunk`.
-    """
+    """Task that a hand follows a pose in the trunk, which may change with every state."""
 
     hand: str
     trunk: str
+    """Links."""
     numbers: Array
+    """Parameters of `_hand_in_trunk`, shape (14,)."""
     function = _hand_in_trunk
 
     @property
@@ -227,30 +202,20 @@ class HandInTrunk(Live, Task):
 
 @dataclass(eq=False)
 class Hand:
-    """A hand, and the pose that it follows.
-
-    Attributes
-    ----------
-    link : str
-    trunk : str
-        Link that carries the arm.
-    joints : ndarray of int, shape (k,)
-        Which of the joints of `Arms` move the hand against the trunk.
-    pose : DQ or None
-        The pose it follows, in the trunk or, if `fixed`, in the base sole; None without a command.
-    since : float
-        Time of the first state after the command [s].
-    numbers : ndarray, shape (14,)
-        Parameters of `_hand_in_trunk`.
-    """
+    """A hand, and the pose that it follows."""
 
     link: str
     trunk: str
+    """Link that carries the arm."""
     joints: NDArray[np.intp]
+    """Which of the joints of `Arms` move the hand against the trunk, shape (k,)."""
     pose: DQ | None = None
+    """The pose it follows, in the trunk or, if `fixed`, in the base sole; None without a command."""
     fixed: bool = False
     since: float = math.nan
+    """Time of the first state after the command [s]."""
     numbers: Array = field(default_factory=lambda: np.zeros(14))
+    """Parameters of `_hand_in_trunk`, shape (14,)."""
 
     def set(self, kin: Kinematics, dq: Array | None, lever: float) -> None:
         """Set the task for a state with the joint velocities `dq` (n,) [rad/s].

@@ -27,32 +27,20 @@ _ASKED = 1.5
 
 @dataclass(frozen=True)
 class Leg:
-    """One part of a course: a constant velocity for a given time.
-
-    Attributes
-    ----------
-    forward, left : float
-        Linear velocity [m/s].
-    turn : float
-        Angular velocity, positive to the left [rad/s].
-    duration : float
-        [s]
-    """
+    """One part of a course: a constant velocity for a given time."""
 
     forward: float
     left: float
+    """Linear velocity [m/s]."""
     turn: float
+    """Angular velocity, positive to the left [rad/s]."""
     duration: float
+    """[s]"""
 
 
 @dataclass(frozen=True)
 class Course:
-    """The legs of a course, in their order.
-
-    Attributes
-    ----------
-    legs : tuple of Leg
-    """
+    """The legs of a course, in their order."""
 
     legs: tuple[Leg, ...]
 

@@ -58,20 +58,14 @@ class ComPath(Task):
     """Moves the projection of the CoM along the vertical to the mean of some points, and keeps it there [m].
 
     A step in the CoM velocity would tip the robot, so the path begins and ends with zero velocity and acceleration.
-
-    Attributes
-    ----------
-    start : ndarray, shape (2,)
-        Projection of the CoM at the start, in the base frame [m].
-    over : tuple of Point
-        Points whose mean is the goal.
-    duration : float
-        Duration of the path [s].
     """
 
     start: Array
+    """Projection of the CoM at the start, in the base frame, shape (2,) [m]."""
     over: tuple[Point, ...]
+    """Points whose mean is the goal."""
     duration: float
+    """Duration of the path [s]."""
     function = _com_from_path
 
     @property
@@ -123,26 +117,18 @@ class SwingPath(Task):
     """Moves a sole along a path that lifts off, passes over a via point and lands.
 
     The error is p - p_d [m] and the rotation vector times `lever` [m].
-
-    Attributes
-    ----------
-    frame : str
-    start, goal : ndarray, shape (8,)
-        Poses in the base frame.
-    height : float
-        Height of the via point above both [m].
-    duration : float
-        Duration of the path [s].
-    lever : float
-        Length that weights angles against distances [m/rad].
     """
 
     frame: str
     start: Array
     goal: Array
+    """Poses in the base frame, shape (8,)."""
     height: float
+    """Height of the via point above both [m]."""
     duration: float
+    """Duration of the path [s]."""
     lever: float
+    """Length that weights angles against distances [m/rad]."""
     function = _sole_from_path
 
     def at(self, elapsed: float) -> tuple[Array, Array]:
@@ -195,21 +181,14 @@ class Target:
 
 @dataclass(frozen=True, kw_only=True)
 class Follow(Affine, Task):
-    """Task that coordinates of a feature s follow a target: e = A s - place, whose rate is minus the velocity.
-
-    Attributes
-    ----------
-    feature : Feature
-        With m coordinates.
-    selects : ndarray, shape (k, m)
-        The matrix A.
-    target : Target
-        Of k coordinates.
-    """
+    """Task that coordinates of a feature s follow a target: e = A s - place, whose rate is minus the velocity."""
 
     feature: Feature
+    """With m coordinates."""
     selects: Array = field(default_factory=lambda: np.eye(2))
+    """The matrix A, shape (k, m)."""
     target: Target
+    """Of k coordinates."""
 
     @property
     def watches(self) -> tuple[Feature, ...]:
@@ -234,15 +213,10 @@ class Follow(Affine, Task):
 
 @dataclass(frozen=True, kw_only=True)
 class AtRest(Affine, Task):
-    """Task that keeps joints at rest where they are, while it is on; at first it is off.
-
-    Attributes
-    ----------
-    selects : ndarray, shape (k, n)
-        The rows of the identity for the joints.
-    """
+    """Task that keeps joints at rest where they are, while it is on; at first it is off."""
 
     selects: Array
+    """The rows of the identity for the joints, shape (k, n)."""
     eta: float | None = 0.0
     watches = (JointAngles(),)
 
@@ -278,20 +252,13 @@ def _frame_from_target(s: Array, a: Array, elapsed: float) -> tuple[Array, Array
 
 @dataclass(frozen=True, kw_only=True)
 class FollowPose(Task):
-    """Task that a frame follows a pose: the error is p - p_d [m], and the rotation error times `lever` [m].
-
-    Attributes
-    ----------
-    frame : str
-    target : Target
-        A pose.
-    lever : float
-        Length that an angle of 1 rad is equivalent to [m/rad].
-    """
+    """Task that a frame follows a pose: the error is p - p_d [m], and the rotation error times `lever` [m]."""
 
     frame: str
     target: Target
+    """A pose."""
     lever: float
+    """Length that an angle of 1 rad is equivalent to [m/rad]."""
     function = _frame_from_target
 
     @property

@@ -16,17 +16,12 @@ class Footprint:
     """A planar pose on level ground, SE(2) as complex numbers: real part ahead, imaginary part to the left.
 
     A rotation is a product with a number of absolute value one.
-
-    Attributes
-    ----------
-    place : complex
-        Position [m].
-    ahead : complex
-        Direction, of absolute value one.
     """
 
     place: complex = 0.0
+    """Position [m]."""
     ahead: complex = 1.0
+    """Direction, of absolute value one."""
 
     @classmethod
     def of(cls, x: Array) -> Self:

@@ -64,39 +64,25 @@ def parsed(texts: Sequence[str]) -> list[tuple[float, float, float, float]]:
 
 
 class Carried(NamedTuple):
-    """Where a walk has its CoM when a foot lands and when the other one lifts off.
-
-    Attributes
-    ----------
-    share : tuple of float
-        Part of the way from the standing sole to the landing one, at both times.
-    height : float or None
-        Height over the lower sole [m]; None: any. With a height, soles may be at different heights.
-    """
+    """Where a walk has its CoM when a foot lands and when the other one lifts off."""
 
     share: tuple[float, float] = (0.0, 1.0)
+    """Part of the way from the standing sole to the landing one, at both times."""
     height: float | None = None
+    """Height over the lower sole [m]; None: any. With a height, soles may be at different heights."""
 
 
 class Reached(NamedTuple):
-    """The nearest footprint that the legs reach.
-
-    Attributes
-    ----------
-    pose : ndarray, shape (8,)
-        In the frame of the support sole.
-    posture : ndarray, shape (n,)
-        In which the swing foot lands there [rad].
-    at_limit : tuple of str
-        The joints at a limit.
-    missed : float
-        Error of what must be kept: height, roll and pitch of the sole, and the places of the CoM [m].
-    """
+    """The nearest footprint that the legs reach."""
 
     pose: Array
+    """In the frame of the support sole, shape (8,)."""
     posture: Array
+    """In which the swing foot lands there, shape (n,) [rad]."""
     at_limit: tuple[str, ...]
+    """The joints at a limit."""
     missed: float
+    """Error of what must be kept: height, roll and pitch of the sole, and the places of the CoM [m]."""
 
 
 class Footsteps:

@@ -32,21 +32,14 @@ _LEANS = 1.0
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class BodyState(State):
-    """A state of the whole body: joint angles and velocities, and pose and velocity of the root link in the world.
-
-    Attributes
-    ----------
-    dq : ndarray, shape (n,)
-        Joint velocities [rad/s].
-    x_base : ndarray, shape (8,)
-        Pose of the root link.
-    v_base : ndarray, shape (6,)
-        Its linear and angular velocity in its own axes [m/s, rad/s].
-    """
+    """A state of the whole body: joint angles and velocities, and pose and velocity of the root link in the world."""
 
     dq: Array = field()  # required here, optional in `State`
+    """Joint velocities, shape (n,) [rad/s]."""
     x_base: Array
+    """Pose of the root link, shape (8,)."""
     v_base: Array
+    """Its linear and angular velocity in its own axes, shape (6,) [m/s, rad/s]."""
 
     @property
     def v(self) -> Array:
@@ -77,26 +70,18 @@ class BodyCommand(Command):
 
 @dataclass(frozen=True)
 class BodyTick:
-    """Problem and solution of one control period.
-
-    Attributes
-    ----------
-    scene : Scene
-        Dynamics, stance and preview.
-    answer : Answer
-        Solution of the problem.
-    wrenches : mapping of Foot to ndarray, shape (6,)
-        Planned force and moment of the ground on each standing foot, about its sole link's origin, in world axes
-        [N, N m].
-    times : tuple of float
-        Time taken by model, assembly and solution, and in total [s].
-    """
+    """Problem and solution of one control period."""
 
     scene: Scene
+    """Dynamics, stance and preview."""
     problem: Hierarchy
     answer: Answer
+    """Solution of the problem."""
     wrenches: Mapping[Foot, Array]
+    """Planned force and moment of the ground on each standing foot, about its sole link's origin, in world axes, shape
+    (6,) [N, N m]."""
     times: tuple[float, float, float, float]
+    """Time taken by model, assembly and solution, and in total [s]."""
 
     @property
     def footsteps(self) -> Array:

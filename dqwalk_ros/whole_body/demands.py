@@ -36,26 +36,18 @@ _MOVED = 0.001
 
 @dataclass(frozen=True)
 class Demand:
-    """A measured value, its required bound, and the authors' value if known.
-
-    Attributes
-    ----------
-    value : float or str
-        Measured value.
-    bound : str
-        Required bound; empty without a requirement.
-    ok : bool
-        Whether the bound is met.
-    authors : float or None
-        The authors' value.
-    """
+    """A measured value, its required bound, and the authors' value if known."""
 
     name: str
     value: float | str
+    """Measured value."""
     unit: str = ""
     bound: str = ""
+    """Required bound; empty without a requirement."""
     ok: bool = True
+    """Whether the bound is met."""
     authors: float | None = None
+    """The authors' value."""
 
     @property
     def got(self) -> str:

@@ -28,26 +28,18 @@ _WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 @dataclass(frozen=True)
 class FrameMotion:
-    """Pose, velocity, Jacobian and drift of a frame, in world axes.
-
-    Attributes
-    ----------
-    position : ndarray, shape (3,)
-        [m]
-    rotation : ndarray, shape (3, 3)
-    velocity : ndarray, shape (6,)
-        J v, linear and angular [m/s, rad/s].
-    jacobian : ndarray, shape (6, nv)
-        J.
-    drift : ndarray, shape (6,)
-        J' v, so that the acceleration is J v' + J' v [m/s^2, rad/s^2].
-    """
+    """Pose, velocity, Jacobian and drift of a frame, in world axes."""
 
     position: Array
+    """Shape (3,) [m]."""
     rotation: Array
+    """Shape (3, 3)."""
     velocity: Array
+    """J v, linear and angular, shape (6,) [m/s, rad/s]."""
     jacobian: Array
+    """J, shape (6, nv)."""
     drift: Array
+    """J' v, so that the acceleration is J v' + J' v, shape (6,) [m/s^2, rad/s^2]."""
 
 
 @dataclass(frozen=True)

@@ -34,19 +34,13 @@ _TURN = 0.05
 
 @dataclass(frozen=True)
 class Layout:
-    """Indices of the variables in x.
-
-    Attributes
-    ----------
-    nv, contacts : int
-        Size of v', and number of contacts.
-    preview : int
-        Size of y: 1 + N + K.
-    """
+    """Indices of the variables in x."""
 
     nv: int
     contacts: int
+    """Size of v', and number of contacts."""
     preview: int
+    """Size of y: 1 + N + K."""
 
     @property
     def size(self) -> int:
@@ -76,35 +70,24 @@ class Layout:
 
 @dataclass(frozen=True)
 class Scene:
-    """The data from which the problem of one control period is built.
-
-    Attributes
-    ----------
-    dt : float
-        Control period, for which the accelerations are held [s].
-    weight : float
-        m g [N].
-    stance : mapping of Foot to FrameMotion
-        Soles on the ground.
-    support : ndarray, shape (2,)
-        Position of the foot that landed last, from which P is measured [m].
-    swing : Swing or None
-    sole : FrameMotion or None
-        The swing sole.
-    settled : ndarray, shape (2,), or None
-        Its landing place, once that is fixed [m].
-    """
+    """The data from which the problem of one control period is built."""
 
     dt: float
+    """Control period, for which the accelerations are held [s]."""
     dynamics: Dynamics
     mass: PointMass
     weight: float
+    """m g [N]."""
     stance: Mapping[Foot, FrameMotion]
+    """Soles on the ground."""
     preview: Preview
     support: Array
+    """Position of the foot that landed last, from which P is measured, shape (2,) [m]."""
     swing: Swing | None
     sole: FrameMotion | None
+    """The swing sole."""
     settled: Array | None
+    """Its landing place, once that is fixed, shape (2,) [m]."""
 
     @property
     def layout(self) -> Layout:

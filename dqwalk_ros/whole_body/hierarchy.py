@@ -32,25 +32,18 @@ _HELD = 1e-7
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """A hierarchical least-squares problem of three levels over x, shape (n,).
-
-    Attributes
-    ----------
-    H, c : ndarray, shapes (n, n), (n,)
-        Cost 1/2 x'Hx + c'x of level 3; H is positive definite.
-    A : ndarray, shape (m, n)
-    lower, upper : ndarray, shape (n + m,)
-        Bounds of x, then of A x; equal for an equality, infinite for an unbounded side.
-    level : ndarray of int, shape (n + m,)
-        `LAW`, `LIMIT` or `BALANCE` for each bound and row.
-    """
+    """A hierarchical least-squares problem of three levels over x, shape (n,)."""
 
     H: Array
     c: Array
+    """Cost 1/2 x'Hx + c'x of level 3, shapes (n, n), (n,); H is positive definite."""
     A: Array
+    """Shape (m, n)."""
     lower: Array
     upper: Array
+    """Bounds of x, then of A x, shape (n + m,); equal for an equality, infinite for an unbounded side."""
     level: NDArray[np.int_]
+    """`LAW`, `LIMIT` or `BALANCE` for each bound and row, shape (n + m,)."""
 
     def violation(self, x: Array) -> Array:
         """Return the violation of each bound and row by x, shape (n + m,)."""
@@ -61,29 +54,20 @@ class Hierarchy:
 
 @dataclass(frozen=True)
 class Answer:
-    """The solution of a hierarchy, its lexicographic optimum.
-
-    Attributes
-    ----------
-    x : ndarray, shape (n,)
-    method : str
-        ``"all rows hold"``, ``"level 2 relaxed"`` or ``"level 1 relaxed"``.
-    residual : float
-        Norm of the violation of the rows of level 2.
-    violation : float
-        Norm of the relaxation of the rows of level 1.
-    iterations : int
-        Number of changes of the active set.
-    solve_time : float
-        Time taken by the solver, measured by its clock [s].
-    """
+    """The solution of a hierarchy, its lexicographic optimum."""
 
     x: Array
+    """Shape (n,)."""
     method: str
+    """``"all rows hold"``, ``"level 2 relaxed"`` or ``"level 1 relaxed"``."""
     residual: float
+    """Norm of the violation of the rows of level 2."""
     violation: float
+    """Norm of the relaxation of the rows of level 1."""
     iterations: int
+    """Number of changes of the active set."""
     solve_time: float
+    """Time taken by the solver, measured by its clock [s]."""
 
 
 class HierarchySolver:

@@ -42,18 +42,12 @@ class Objective(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameObjective(Objective):
-    """An objective of one link, by a PD controller.
-
-    Attributes
-    ----------
-    frame : str
-        The link.
-    kp : float
-        Stiffness [1/s^2]; the damping is critical, 2 sqrt(kp).
-    """
+    """An objective of one link, by a PD controller."""
 
     frame: str
+    """The link."""
     kp: float = 100.0
+    """Stiffness [1/s^2]; the damping is critical, 2 sqrt(kp)."""
 
     @property
     def kd(self) -> float:
@@ -68,18 +62,12 @@ class FrameObjective(Objective):
 
 @dataclass(frozen=True, kw_only=True)
 class FramePosition(FrameObjective):
-    """Moves a link's origin to a target by a saturated PD controller (S17).
-
-    Attributes
-    ----------
-    target : ndarray, shape (3,)
-        Position in the world [m].
-    saturation : float
-        Largest acceleration by the position error along each axis [m/s^2].
-    """
+    """Moves a link's origin to a target by a saturated PD controller (S17)."""
 
     target: Array
+    """Position in the world, shape (3,) [m]."""
     saturation: float = math.inf
+    """Largest acceleration by the position error along each axis [m/s^2]."""
 
     def jacobian(self, dynamics: Dynamics) -> Array:
         """Jacobian of the position, shape (3, nv)."""
@@ -94,15 +82,10 @@ class FramePosition(FrameObjective):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOrientation(FrameObjective):
-    """Turns a link to a target orientation by a PD controller (S18).
-
-    Attributes
-    ----------
-    target : ndarray, shape (3, 3), optional
-        Rotation matrix in the world; by default the identity.
-    """
+    """Turns a link to a target orientation by a PD controller (S18)."""
 
     target: Array | None = None
+    """Rotation matrix in the world, shape (3, 3); by default the identity."""
 
     def jacobian(self, dynamics: Dynamics) -> Array:
         """Jacobian of the angular velocity, shape (3, nv)."""
@@ -117,17 +100,12 @@ class FrameOrientation(FrameObjective):
 
 @dataclass(frozen=True, kw_only=True)
 class JointPosture(Objective):
-    """Moves the joints to a posture by PD controllers (S19); joints with zero stiffness are only damped.
-
-    Attributes
-    ----------
-    reference, stiffness, damping : ndarray, shape (n,)
-        [rad, 1/s^2, 1/s]
-    """
+    """Moves the joints to a posture by PD controllers (S19); joints with zero stiffness are only damped."""
 
     reference: Array
     stiffness: Array
     damping: Array
+    """Shape (n,) [rad, 1/s^2, 1/s]."""
 
     def jacobian(self, dynamics: Dynamics) -> Array:
         """Jacobian of the joints, shape (n, nv)."""
@@ -144,15 +122,11 @@ class Distance(ABC):
 
     This is the inequality d' >= -eta d applied twice: with e = d' + eta d it is e' >= -eta e. If d and e are not
     negative at the beginning, they stay so.
-
-    Attributes
-    ----------
-    eta : float
-        [1/s]
     """
 
     name: str
     eta: float = 10.0
+    """[1/s]"""
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -179,19 +153,13 @@ class Distance(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOutsideSphere(Distance):
-    """Keep a link's origin outside a fixed sphere [m]: obstacle avoidance.
-
-    Attributes
-    ----------
-    center : ndarray, shape (3,)
-        Centre in the world [m].
-    radius : float
-        [m]
-    """
+    """Keep a link's origin outside a fixed sphere [m]: obstacle avoidance."""
 
     frame: str
     center: Array
+    """Centre in the world, shape (3,) [m]."""
     radius: float
+    """[m]"""
 
     @property
     def frames(self) -> tuple[str, ...]:

@@ -25,21 +25,14 @@ _EPS = 1e-9
 
 @dataclass(frozen=True)
 class PointMass:
-    """The linear inverted pendulum (S10) of one axis, with a piecewise linear CoP.
-
-    Attributes
-    ----------
-    height : float
-        c^z [m].
-    interval : float
-        T [s].
-    intervals : int
-        N.
-    """
+    """The linear inverted pendulum (S10) of one axis, with a piecewise linear CoP."""
 
     height: float
+    """c^z [m]."""
     interval: float
+    """T [s]."""
     intervals: int
+    """N."""
 
     @property
     def omega(self) -> float:
@@ -81,20 +74,14 @@ class Swing:
 
 @dataclass(frozen=True)
 class Stepping:
-    """Timing of the steps.
-
-    Attributes
-    ----------
-    first : Foot
-        The foot 0, the first support foot.
-    standing, double, single : float
-        Durations of the first double support, of a double support between steps and of a single support [s].
-    """
+    """Timing of the steps."""
 
     first: Foot
+    """The foot 0, the first support foot."""
     standing: float
     double: float
     single: float
+    """Durations of the first double support, of a double support between steps and of a single support [s]."""
 
     @classmethod
     def of(cls, config: Config) -> Stepping:
@@ -163,21 +150,15 @@ class Preview:
     """The CoP at t + k T, k = 0..N, for each axis: z = offset + M y with y = (c''_0, Z, P).
 
     Z are the CoPs at k = 1..N relative to the middle of their foot, P the K displacements from each foot to the next.
-
-    Attributes
-    ----------
-    M : ndarray, shape (N + 1, 1 + N + K)
-        The same for both axes.
-    offset : ndarray, shape (N + 1, 2)
-        [m]
-    lower, upper : ndarray, shape (1 + N + K, 2)
-        Bounds of y; those of c''_0 are infinite.
     """
 
     M: Array
+    """The same for both axes, shape (N + 1, 1 + N + K)."""
     offset: Array
+    """Shape (N + 1, 2) [m]."""
     lower: Array
     upper: Array
+    """Bounds of y, shape (1 + N + K, 2); those of c''_0 are infinite."""
 
     @property
     def cops(self) -> slice:

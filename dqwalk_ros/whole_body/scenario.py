@@ -23,19 +23,6 @@ _LARGEST = 1e6
 class Scenario:
     """A sequence of targets of the hand and of pushes.
 
-    Attributes
-    ----------
-    duration : float
-        [s]
-    targets : tuple of (float, tuple)
-        Time from which a target applies, and position of the target [s, m].
-    pushes : tuple of (float, tuple)
-        Time and impulse of each push of the torso [s, N s].
-    size : float
-        Size of the robot relative to that of the paper; required lengths scale with it.
-    slow : float
-        Duration of the steps relative to that of the paper; times scale with it.
-
     Raises
     ------
     ConfigError
@@ -44,10 +31,15 @@ class Scenario:
 
     name: str
     duration: float
+    """[s]"""
     targets: tuple[Timed, ...] = ()
+    """Time from which a target applies, and position of the target [s, m]."""
     pushes: tuple[Timed, ...] = ()
+    """Time and impulse of each push of the torso [s, N s]."""
     size: float = 1.0
+    """Size of the robot relative to that of the paper; required lengths scale with it."""
     slow: float = 1.0
+    """Duration of the steps relative to that of the paper; times scale with it."""
 
     def __post_init__(self) -> None:
         """Check times and numbers."""

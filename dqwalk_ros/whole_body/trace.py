@@ -21,50 +21,35 @@ from dqwalk_ros.whole_body.scenario import Scenario
 
 @dataclass(frozen=True)
 class Reaction:
-    """Effect of a jump of the hand's target on the preview in the same control period.
-
-    Attributes
-    ----------
-    time : float
-        Time of the jump [s].
-    swinging : bool
-        Whether a foot was in the air.
-    moved : tuple of float
-        Distance between the previewed footsteps for the new and for the previous target, solved for the same state,
-        the next footstep first [m].
-    held : bool
-        Whether the next footstep cannot move: it is at a bound of its box in both coordinates, or fixed.
-    """
+    """Effect of a jump of the hand's target on the preview in the same control period."""
 
     time: float
+    """Time of the jump [s]."""
     swinging: bool
+    """Whether a foot was in the air."""
     moved: tuple[float, ...]
+    """Distance between the previewed footsteps for the new and for the previous target, solved for the same state, the
+    next footstep first [m]."""
     held: bool = False
+    """Whether the next footstep cannot move: it is at a bound of its box in both coordinates, or fixed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BodyLog(Recorded):
-    """What a bag contains of a whole-body walk.
-
-    Attributes
-    ----------
-    scenario : Scenario
-        Targets and pushes, at the times at which they took effect.
-    dq, x_base, v_base : ndarray, shapes (N, n), (N, 8), (N, 6)
-        Joint velocities [rad/s], pose of the root link and its velocity in its own axes [m/s, rad/s].
-    effort : ndarray, shape (N, n)
-        Torques commanded for each state [N m].
-    wrenches : ndarray, shape (N, 2, 6)
-        Force and moment of the ground on the left and the right sole in the period after each state, about the
-        sole's origin, in world axes [N, N m]; nan if the foot does not stand or its wrench was not recorded.
-    """
+    """What a bag contains of a whole-body walk."""
 
     scenario: Scenario
+    """Targets and pushes, at the times at which they took effect."""
     dq: Array
     x_base: Array
     v_base: Array
+    """Joint velocities [rad/s], pose of the root link and its velocity in its own axes, shapes (N, n), (N, 8), (N, 6)
+    [m/s, rad/s]."""
     effort: Array
+    """Torques commanded for each state, shape (N, n) [N m]."""
     wrenches: Array
+    """Force and moment of the ground on the left and the right sole in the period after each state, about the sole's
+    origin, in world axes, shape (N, 2, 6) [N, N m]; nan if the foot does not stand or its wrench was not recorded."""
 
     def state(self, k: int) -> BodyState:
         """Return the state of index `k`."""
@@ -73,34 +58,7 @@ class BodyLog(Recorded):
 
 @dataclass(frozen=True, kw_only=True)
 class WholeBodyTrace(BodyLog):
-    """A whole-body walk with what the controller computed for it, one row per control period.
-
-    Attributes
-    ----------
-    target, hand, com, com_velocity, left, right : ndarray, shape (N, 3)
-        Target of the hand (nan without one), hand, CoM and its velocity, and the soles' links [m, m/s].
-    support, landing : ndarray, shape (N, 2)
-        The foot that landed last, and the next landing place [m].
-    single : ndarray of bool, shape (N,)
-        Whether the robot is in single support.
-    height_error, tilt : ndarray, shape (N,)
-        Error of the CoM's height [m] and inclination of the torso [rad].
-    residual, violation, iterations : ndarray, shape (N,)
-        Residual of (S14) [m], relaxation of level 1, and number of iterations of the solver.
-    method : tuple of str
-        Method of the solution, as in `Answer`.
-    times : ndarray, shape (N, 4)
-        Time taken by model, assembly and solution, and in total, by the controller's clock [s].
-    margins : mapping of str to ndarray, shape (N,)
-        Least distance from each limit: ``cop_margin`` [m], ``friction`` and ``normal`` force in units of the
-        weight, ``torque`` relative to the limit, ``joint`` [rad], ``step`` [m]. The forces are those of the plant.
-    reactions : tuple of Reaction
-        Effect of each jump of the target.
-    note : str
-        Reason for an early end of the walk; empty without one.
-    again : bool
-        Whether the trace is from a recorded walk that was solved again.
-    """
+    """A whole-body walk with what the controller computed for it, one row per control period."""
 
     target: Array
     hand: Array
@@ -108,20 +66,32 @@ class WholeBodyTrace(BodyLog):
     com_velocity: Array
     left: Array
     right: Array
+    """Target of the hand (nan without one), hand, CoM and its velocity, and the soles' links, shape (N, 3) [m, m/s]."""
     support: Array
     landing: Array
+    """The foot that landed last, and the next landing place, shape (N, 2) [m]."""
     single: Mask
+    """Whether the robot is in single support, shape (N,)."""
     height_error: Array
     tilt: Array
+    """Error of the CoM's height [m] and inclination of the torso [rad], each of shape (N,)."""
     residual: Array
     violation: Array
     iterations: Array
+    """Residual of (S14) [m], relaxation of level 1, and number of iterations of the solver, shape (N,)."""
     method: tuple[str, ...]
+    """Method of the solution, as in `Answer`."""
     times: Array
+    """Time taken by model, assembly and solution, and in total, by the controller's clock, shape (N, 4) [s]."""
     margins: Mapping[str, Array]
+    """Least distance from each limit, shape (N,): ``cop_margin`` [m], ``friction`` and ``normal`` force in units of the
+    weight, ``torque`` relative to the limit, ``joint`` [rad], ``step`` [m]. The forces are those of the plant."""
     reactions: tuple[Reaction, ...] = ()
+    """Effect of each jump of the target."""
     note: str = ""
+    """Reason for an early end of the walk; empty without one."""
     again: bool = False
+    """Whether the trace is from a recorded walk that was solved again."""
 
     @property
     def stood(self) -> bool:

@@ -23,19 +23,13 @@ _LARGEST_VELOCITY = 1e3
 
 @dataclass(frozen=True)
 class Conflict:
-    """Rows that cannot be satisfied together.
-
-    Attributes
-    ----------
-    short : dict of str to float
-        Amount by which each row must be relaxed, in its own unit per second (m/s, m^2/s for squared distances,
-        rad/s); largest first.
-    against : tuple of str
-        The active rows that conflict with them, in decreasing order of their multipliers.
-    """
+    """Rows that cannot be satisfied together."""
 
     short: dict[str, float]
+    """Amount by which each row must be relaxed, in its own unit per second (m/s, m^2/s for squared distances, rad/s);
+    largest first."""
     against: tuple[str, ...]
+    """The active rows that conflict with them, in decreasing order of their multipliers."""
 
     def __str__(self) -> str:
         text = ", ".join(f"{name} is short by {amount:.3g} /s" for name, amount in self.short.items())

@@ -69,21 +69,14 @@ parts = jit(_parts)
 
 
 class Problem(NamedTuple):
-    """min 1/2 u'Hu + c'u  subject to  E u = e,  G u >= h,  lower <= u <= upper.
-
-    Attributes
-    ----------
-    numbers : ndarray
-        W, w, lower, upper, H and c one after another, because compiled functions read one array faster than six.
-    shape : tuple of int
-        n, number of equalities l, and number of inequalities m.
-    names : tuple of str
-        Names of the rows: equalities, inequalities, upper and lower limits.
-    """
+    """min 1/2 u'Hu + c'u  subject to  E u = e,  G u >= h,  lower <= u <= upper."""
 
     numbers: Array
+    """W, w, lower, upper, H and c one after another, because compiled functions read one array faster than six."""
     shape: Shape
+    """n, number of equalities l, and number of inequalities m."""
     names: tuple[str, ...] = ()
+    """Names of the rows: equalities, inequalities, upper and lower limits."""
 
     @classmethod
     def of(
@@ -189,24 +182,17 @@ class Residuals:
 
 @dataclass(slots=True, eq=False)
 class Solution:
-    """An accepted solution of a `Problem`.
-
-    Attributes
-    ----------
-    u : ndarray, shape (n,)
-        Joint velocities [rad/s].
-    z : ndarray, shape (l + m + 2n,)
-        Multipliers of the equalities, inequalities, upper and lower limits; >= 0 except those of the equalities.
-    iterations : int
-        Number of iterations of the solver.
-    solve_time : float
-        Time taken by the solver [s].
-    """
+    """An accepted solution of a `Problem`."""
 
     u: Array
+    """Joint velocities, shape (n,) [rad/s]."""
     z: Array
+    """Multipliers of the equalities, inequalities, upper and lower limits, shape (l + m + 2n,); >= 0 except those of
+    the equalities."""
     iterations: int
+    """Number of iterations of the solver."""
     solve_time: float
+    """Time taken by the solver [s]."""
 
     def active(self, problem: Problem) -> tuple[str, ...]:
         """Return the names of the active inequalities, in decreasing order of their multipliers."""

@@ -74,51 +74,34 @@ _REFUSED: Final = {
 
 @dataclass(frozen=True)
 class Registers:
-    """Registers of one servo at the last inspection.
-
-    Attributes
-    ----------
-    torque : bool
-        Whether the torque is on.
-    gain : int
-        D, I and P gain of an MX as one number of three bytes: its P gain, if the others are 0.
-    goal : int
-        Value of the goal position register.
-    torque_limit : int
-        Up to 1023; 0 after the servo has switched its torque off.
-    voltage : float
-        [V]
-    temperature : float
-        [degC]
-    at : float
-        Time of the request, by the clock of the bus [s].
-    """
+    """Registers of one servo at the last inspection."""
 
     torque: bool
+    """Whether the torque is on."""
     gain: int
+    """D, I and P gain of an MX as one number of three bytes: its P gain, if the others are 0."""
     goal: int
+    """Value of the goal position register."""
     torque_limit: int
+    """Up to 1023; 0 after the servo has switched its torque off."""
     voltage: float
+    """[V]"""
     temperature: float
+    """[degC]"""
     at: float
+    """Time of the request, by the clock of the bus [s]."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What a servo is, by its permanent registers.
-
-    Attributes
-    ----------
-    model, id : int
-        Model number, and its id on the bus.
-    low, high : int
-        Limits of its goal positions; equal in the modes in which it does not turn to a position.
-    """
+    """What a servo is, by its permanent registers."""
 
     model: int
     id: int
+    """Model number, and its id on the bus."""
     low: int
     high: int
+    """Limits of its goal positions; equal in the modes in which it does not turn to a position."""
 
 
 def open_port(name: str) -> Any:

@@ -42,28 +42,19 @@ class Part:
 
 @dataclass
 class Measured:
-    """Measurements of N motors.
-
-    Attributes
-    ----------
-    q, dq : ndarray, shape (N,)
-        Accepted angles [rad], nan before the first, and velocities [rad/s].
-    at : ndarray, shape (N,)
-        Times at which these angles were requested [s].
-    jumps : ndarray of int, shape (N,)
-        Number of implausible angles since.
-    load : ndarray, shape (N,)
-        Percent of the largest torque.
-    runaway : ndarray of bool, shape (N,)
-        Whether the joints have moved against their full torque, which is therefore switched off.
-    """
+    """Measurements of N motors."""
 
     q: Array
     dq: Array
+    """Accepted angles [rad], nan before the first, and velocities [rad/s], each of shape (N,)."""
     at: Array
+    """Times at which these angles were requested, shape (N,) [s]."""
     jumps: NDArray[np.intp]
+    """Number of implausible angles since, shape (N,)."""
     load: Array
+    """Percent of the largest torque, shape (N,)."""
     runaway: Mask
+    """Whether the joints have moved against their full torque, which is therefore switched off, shape (N,)."""
 
 
 class _Limit(NamedTuple):

@@ -20,33 +20,22 @@ _Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 
 
 class Motor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One servo.
-
-    Attributes
-    ----------
-    name : str
-        Name of its joint.
-    id : int
-        Id on the bus.
-    type : str
-        Type in the table of servo types, such as ``MX-28``.
-    bus : str
-        Name of the bus.
-    direct : bool
-        Whether positive angles of the servo are positive angles of the joint.
-    offset : float
-        Offset of the joint angle, see `user` [deg].
-    raw : tuple of float
-        Lower and upper limit of the servo angle [deg].
-    """
+    """One servo."""
 
     name: str
+    """Name of its joint."""
     id: Annotated[int, msgspec.Meta(ge=0, le=252)]
+    """Id on the bus."""
     type: str
+    """Type in the table of servo types, such as ``MX-28``."""
     bus: str
+    """Name of the bus."""
     direct: bool
+    """Whether positive angles of the servo are positive angles of the joint."""
     offset: _Degrees
+    """Offset of the joint angle, see `user` [deg]."""
     raw: tuple[_Degrees, _Degrees]
+    """Lower and upper limit of the servo angle [deg]."""
 
     def user(self, raw: float) -> float:
         """Return the joint angle for a servo angle [deg]."""

@@ -145,23 +145,16 @@ def _filled(message: Any, double: float, bits: int) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class Table:
-    """Messages that differ in stamp and numbers only.
-
-    Attributes
-    ----------
-    message : message
-        One of them.
-    rows : ndarray of int, shape (N,)
-        Their indices in the column.
-    stamps : ndarray of int64, shape (N,) [ns]
-    numbers : ndarray, shape (N, k)
-        Every double behind the header, in the order of the message.
-    """
+    """Messages that differ in stamp and numbers only."""
 
     message: Any
+    """One of them."""
     rows: NDArray[np.intp]
+    """Their indices in the column, shape (N,)."""
     stamps: Stamps
+    """Shape (N,) [ns]."""
     numbers: Array
+    """Every double behind the header, in the order of the message, shape (N, k)."""
 
 
 class _Layout:
@@ -304,27 +297,20 @@ def pose_of(numbers: Array) -> Array:
 
 @dataclass(frozen=True)
 class JointStates:
-    """The JointState messages of one topic.
-
-    Attributes
-    ----------
-    rows : ndarray of int, shape (N,)
-        Their indices in the column; damaged messages, and those of other joints, are omitted.
-    stamps : ndarray of int64, shape (N,) [ns]
-    frames : tuple of str, N
-    named : tuple of str
-        The joints named in all messages, at most a hundred.
-    position, velocity, effort : ndarray, shape (N, n)
-        Of the requested joints; nan where a message has no value.
-    """
+    """The JointState messages of one topic."""
 
     rows: NDArray[np.intp]
+    """Their indices in the column, shape (N,); damaged messages, and those of other joints, are omitted."""
     stamps: Stamps
+    """Shape (N,) [ns]."""
     frames: tuple[str, ...]
+    """N of them."""
     named: tuple[str, ...]
+    """The joints named in all messages, at most a hundred."""
     position: Array
     velocity: Array
     effort: Array
+    """Of the requested joints, shape (N, n); nan where a message has no value."""
 
 
 def joint_states(column: Column, names: Sequence[str]) -> JointStates:

@@ -25,39 +25,27 @@ from dqwalk_ros.walks.table import refuse_foreign_code
 
 @dataclass(frozen=True)
 class Recording:
-    """The last run in a bag.
-
-    Attributes
-    ----------
-    columns : dict of str to Column
-        By the names in `dqwalk_ros.support.topics`.
-    states : JointStates
-        All readable messages of joint_states.
-    rows : ndarray of int, shape (N,)
-        Indices of those of the last run, in the order of time, one for each stamp.
-    stamps : ndarray of int64, shape (N,)
-        Their stamps [ns].
-    origin : dict of str to str
-        Versions and machine of the recorded walk; empty if they are not in the bag.
-    notes : list of str
-        Descriptions of missing or omitted data.
-    tuned : dict of int to Config
-        Parameters that were changed during the walk, by the stamp [ns] from which they applied.
-    cut : bool
-        Whether the bag is damaged or cut off.
-    """
+    """The last run in a bag."""
 
     path: Path
     columns: dict[str, Column]
+    """By the names in `dqwalk_ros.support.topics`."""
     config: Config
     model: RobotModel
     states: JointStates
+    """All readable messages of joint_states."""
     rows: NDArray[np.intp]
+    """Indices of those of the last run, in the order of time, one for each stamp, shape (N,)."""
     stamps: Stamps
+    """Their stamps, shape (N,) [ns]."""
     origin: dict[str, str]
+    """Versions and machine of the recorded walk; empty if they are not in the bag."""
     notes: list[str]
+    """Descriptions of missing or omitted data."""
     tuned: dict[int, Config]
+    """Parameters that were changed during the walk, by the stamp [ns] from which they applied."""
     cut: bool
+    """Whether the bag is damaged or cut off."""
 
 
 def preamble(walked: Recorded, stamp: Stamps) -> list[Messages]:

@@ -180,19 +180,13 @@ _Item = tuple[str, str, int, bytes | None]  # topic, type, time of recording [ns
 
 @dataclass
 class Column:
-    """All messages of one topic, in the order of the bag.
-
-    Attributes
-    ----------
-    times : list of int [ns]
-        When each was recorded.
-    order : list of int
-        Position of each among all messages of the bag.
-    """
+    """All messages of one topic, in the order of the bag."""
 
     type: str
     times: list[int] = field(default_factory=list)
+    """When each was recorded [ns]."""
     order: list[int] = field(default_factory=list)
+    """Position of each among all messages of the bag."""
     raws: list[bytes] = field(default_factory=list)
 
     def since(self, place: int) -> Column:
@@ -203,21 +197,15 @@ class Column:
 
 @dataclass(frozen=True)
 class Content:
-    """Content of a bag at `path`: the requested columns, and name and type of every topic.
-
-    Attributes
-    ----------
-    notes : tuple of str
-        Descriptions of damage.
-    cut : bool
-        Whether a file is damaged or cut off, so that messages are missing, most likely the last ones.
-    """
+    """Content of a bag at `path`: the requested columns, and name and type of every topic."""
 
     path: Path
     columns: dict[str, Column]
     topics: dict[str, str]
     notes: tuple[str, ...]
+    """Descriptions of damage."""
     cut: bool
+    """Whether a file is damaged or cut off, so that messages are missing, most likely the last ones."""
 
 
 Source = str | os.PathLike[str] | Content

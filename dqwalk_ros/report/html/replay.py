@@ -60,40 +60,27 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Replay:
-    """What the replay shows of a walk, with N frames.
-
-    Attributes
-    ----------
-    config : Config
-    model : RobotModel
-    time, bodies, com : ndarray, shapes (N,) [s], (N, B, 8), (N, 3) [m]
-        Of each frame: time since the first one, poses of the bodies, centre of mass.
-    polygons : sequence of ndarray, shape (m, 3) [m]
-        Support polygon of each frame.
-    prints : sequence of (time, Foot, corners)
-        Each footprint with the time from which it is shown [s] and its corners (4, 3) [m].
-    stretches : sequence of Stretch
-    curves : mapping of str to Curve
-        By the name of the constraint, whose region it belongs to, or another one.
-    marks : sequence of Mark
-    tight : sequence of str
-        Name of the curve that is marked in each frame.
-    regions : sequence of sequence of NamedRegion
-        Regions of the constraints in each frame.
-    """
+    """What the replay shows of a walk, with N frames."""
 
     config: Config
     model: RobotModel
     time: Array
     bodies: Array
     com: Array
+    """Of each frame, shapes (N,) [s], (N, B, 8), (N, 3) [m]: time since the first one, poses of the bodies, centre of
+    mass."""
     polygons: Sequence[Array]
+    """Support polygon of each frame, shape (m, 3) [m]."""
     prints: Sequence[tuple[float, Foot, Array]]
+    """Each footprint with the time from which it is shown [s] and its corners (4, 3) [m]."""
     stretches: Sequence[Stretch]
     curves: Mapping[str, Curve]
+    """By the name of the constraint, whose region it belongs to, or another one."""
     marks: Sequence[Mark]
     tight: Sequence[str]
+    """Name of the curve that is marked in each frame."""
     regions: Sequence[Sequence[NamedRegion]] = ()
+    """Regions of the constraints in each frame."""
 
     def data(self) -> dict[str, Any]:
         """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32."""

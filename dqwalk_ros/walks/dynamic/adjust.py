@@ -32,34 +32,23 @@ _LONGEST_TRANSFER = 0.3
 
 @dataclass(frozen=True)
 class Step:
-    """A single support as planned, in the axes of the base sole.
-
-    Attributes
-    ----------
-    z : ndarray, shape (2,)
-        Zero-moment point [m].
-    landing : ndarray, shape (2,)
-        Zero-moment point of the next step, on the swing foot after its landing [m].
-    offset : ndarray, shape (2,)
-        xi at the end, relative to `landing` [m].
-    duration : float
-        Planned duration [s].
-    omega : ndarray, shape (2,)
-        Frequencies of the pendulum along x and y [1/s].
-    low, high : ndarray, shape (2,)
-        Corners of the rectangle within the sole to which the zero-moment point is limited [m].
-    reach : ndarray, shape (2,)
-        Largest displacement of the landing position [m].
-    """
+    """A single support as planned, in the axes of the base sole."""
 
     z: Array
+    """Zero-moment point, shape (2,) [m]."""
     landing: Array
+    """Zero-moment point of the next step, on the swing foot after its landing, shape (2,) [m]."""
     offset: Array
+    """xi at the end, relative to `landing`, shape (2,) [m]."""
     duration: float
+    """Planned duration [s]."""
     omega: Array
+    """Frequencies of the pendulum along x and y, shape (2,) [1/s]."""
     low: Array
     high: Array
+    """Corners of the rectangle within the sole to which the zero-moment point is limited, shape (2,) [m]."""
     reach: Array
+    """Largest displacement of the landing position, shape (2,) [m]."""
 
     @cached_property
     def constants(self) -> tuple[Array, ...]:

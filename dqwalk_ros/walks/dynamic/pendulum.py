@@ -59,21 +59,14 @@ def _inertia(kin: Kinematics, frame: str, body: Body) -> Array:
 
 @dataclass(frozen=True)
 class InvertedPendulum:
-    """Constants of the pendulum.
-
-    Attributes
-    ----------
-    height : float
-        Height of the CoM, h [m].
-    omega : ndarray, shape (2,)
-        Frequencies along x and y [1/s].
-    swing : float
-        Displacement of the zero-moment point along x per acceleration of the swing foot [s^2].
-    """
+    """Constants of the pendulum."""
 
     height: float
+    """Height of the CoM, h [m]."""
     omega: Array
+    """Frequencies along x and y, shape (2,) [1/s]."""
     swing: float
+    """Displacement of the zero-moment point along x per acceleration of the swing foot [s^2]."""
 
     @classmethod
     def of(cls, phase: Phase, kin: Kinematics) -> Self:

@@ -109,25 +109,17 @@ class Reference(ABC):
 
 @dataclass(frozen=True)
 class Pressed(Reference):
-    """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`.
-
-    Attributes
-    ----------
-    a, b : ndarray, shape (2,)
-        Zero-moment point at the beginning and at the end [m].
-    end : ndarray, shape (2,)
-        xi at the end [m].
-    duration : float
-        [s]
-    omega : ndarray, shape (2,)
-        Frequencies of the pendulum [1/s].
-    """
+    """Reference of a support: z moves linearly from `a` to `b`, and xi ends at `end`."""
 
     a: Array
     b: Array
+    """Zero-moment point at the beginning and at the end, shape (2,) [m]."""
     end: Array
+    """xi at the end, shape (2,) [m]."""
     duration: float
+    """[s]"""
     omega: Array
+    """Frequencies of the pendulum, shape (2,) [1/s]."""
     function = _pressed
 
     @property
@@ -138,22 +130,15 @@ class Pressed(Reference):
 
 @dataclass(frozen=True)
 class Rest(Reference):
-    """Reference of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends.
-
-    Attributes
-    ----------
-    start, goal : ndarray, shape (2,)
-        xi at the beginning and at the end [m].
-    duration : float
-        [s]
-    omega : ndarray, shape (2,)
-        Frequencies of the pendulum [1/s].
-    """
+    """Reference of a stance: xi moves from `start` to `goal` on a minimum-jerk path, at rest at both ends."""
 
     start: Array
     goal: Array
+    """xi at the beginning and at the end, shape (2,) [m]."""
     duration: float
+    """[s]"""
     omega: Array
+    """Frequencies of the pendulum, shape (2,) [1/s]."""
     function = _resting
 
     @property
@@ -163,22 +148,15 @@ class Rest(Reference):
 
 
 class Support(NamedTuple):
-    """A planned single support.
-
-    Attributes
-    ----------
-    aim : ndarray, shape (2,)
-        Middle of the path of the CoP on the sole [m].
-    roll : ndarray, shape (2,)
-        The zero-moment point moves from aim - roll to aim + roll [m].
-    double, single : float
-        Durations of the double support before it and of the single support [s].
-    """
+    """A planned single support."""
 
     aim: Array
+    """Middle of the path of the CoP on the sole, shape (2,) [m]."""
     roll: Array
+    """The zero-moment point moves from aim - roll to aim + roll, shape (2,) [m]."""
     double: float
     single: float
+    """Durations of the double support before it and of the single support [s]."""
 
     @property
     def first(self) -> Array:

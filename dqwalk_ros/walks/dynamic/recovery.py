@@ -75,15 +75,10 @@ class Steps(DynamicWalk):
 
 
 class RecoveringWalk(StandingWalk):
-    """Standing walk that lets the steps of ``gait.recover`` take over when xi leaves the sole, and then continues.
-
-    Attributes
-    ----------
-    steps : Steps
-        The walk that takes over, which `prepare` makes; a recorded walk is rebuilt without it.
-    """
+    """Standing walk that lets the steps of ``gait.recover`` take over when xi leaves the sole, and then continues."""
 
     steps: Steps
+    """The walk that takes over, which `prepare` makes; a recorded walk is rebuilt without it."""
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         super().__init__(config, model)
