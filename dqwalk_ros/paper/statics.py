@@ -20,28 +20,20 @@ GRAVITY = 9.80665
 
 
 class Soles(NamedTuple):
-    """The soles that carry the robot.
-
-    Attributes
-    ----------
-    both : bool
-        Whether both soles are on the ground; otherwise the base sole is.
-    at, at_other : ndarray, shape (3,)
-        Point of the base sole and of the other one, each in the frame of its sole, on which it carries all of the force
-        [m].
-    half : float
-        Half of the length of the shorter sole [m].
-    body, pose, moves
-        `Place` of the other sole.
-    """
+    """The soles that carry the robot."""
 
     both: bool
+    """Whether both soles are on the ground; otherwise the base sole is."""
     at: Array
     at_other: Array
+    """Point of the base sole and of the other one, each in the frame of its sole, on which it carries all of the force,
+    shape (3,) [m]."""
     half: float
+    """Half of the length of the shorter sole [m]."""
     body: int
     pose: Array
     moves: Mask
+    """`Place` of the other sole."""
 
     @classmethod
     def of(cls, model: RobotModel, base: Foot, *, both: bool, at: Mapping[Foot, Array] | None = None) -> Self:

@@ -88,41 +88,31 @@ def urdf_soles(trace: Trace) -> Mapping[Foot, Sole] | None:
 
 @dataclass(frozen=True)
 class Series:
-    """Time series of a walk, one value per tick (N of them); nan where a quantity is not defined.
-
-    Attributes
-    ----------
-    error : ndarray, shape (N,)
-        Norm of the task error: [m] in double support, of vec8 in single support.
-    distances : dict of str to ndarray, shape (N,)
-        Distance of each inequality minus its bound: not negative while the inequality holds.
-    residuals : dict of str to ndarray, shape (N,)
-        Residual of each equality: zero while it holds.
-    spare : dict of str to ndarray, shape (N,)
-        Distance of each inequality less the least one that the sampled-data bound allows after the period before it,
-        per second (`rows.least_after`); nan at the start of a phase, inf where the program leaves out what is far.
-    held : dict of str to ndarray, shape (N,)
-        The same since the start of the phase, for equalities and inequalities: not negative while the bound holds.
-    com, pelvis : ndarray, shape (N, 3)
-        Centre of mass (U4) and pelvis in the base sole's frame [m].
-    end : ndarray, shape (N, 8)
-        Pose of the other sole in the base sole's frame.
-    com_on_ground : ndarray, shape (N, 2)
-        Intersection of the vertical through the CoM with the base sole's plane [m]; with an inertial sensor, the
-        vertical is the measured one.
-    """
+    """Time series of a walk, one value per tick (N of them); nan where a quantity is not defined."""
 
     trace: Trace
     spans: tuple[Span, ...]
     error: Array
+    """Norm of the task error, shape (N,): [m] in double support, of vec8 in single support."""
     distances: dict[str, Array]
+    """Distance of each inequality minus its bound, shape (N,): not negative while the inequality holds."""
     residuals: dict[str, Array]
+    """Residual of each equality, shape (N,): zero while it holds."""
     spare: dict[str, Array]
+    """Distance of each inequality less the least one that the sampled-data bound allows after the period before it, per
+    second (`rows.least_after`), shape (N,); nan at the start of a phase, inf where the program leaves out what is
+    far."""
     held: dict[str, Array]
+    """The same since the start of the phase, for equalities and inequalities: not negative while the bound holds."""
     com: Array
+    """Centre of mass (U4) in the base sole's frame, shape (N, 3) [m]."""
     end: Array
+    """Pose of the other sole in the base sole's frame, shape (N, 8)."""
     pelvis: Array
+    """In the base sole's frame, shape (N, 3) [m]."""
     com_on_ground: Array
+    """Intersection of the vertical through the CoM with the base sole's plane, shape (N, 2) [m]; with an inertial
+    sensor, the vertical is the measured one."""
 
     @property
     def time(self) -> Array:

@@ -44,34 +44,26 @@ class FrameMotion:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """The terms of (S1), CoM and frames at one state.
-
-    Attributes
-    ----------
-    q : ndarray, shape (n,)
-        Joint angles [rad].
-    v : ndarray, shape (6 + n,)
-        Velocity of the base and of the joints.
-    H : ndarray, shape (nv, nv)
-        Generalized inertia.
-    h : ndarray, shape (nv,)
-        Coriolis, centrifugal and gravity effects.
-    com, com_velocity, com_drift : ndarray, shape (3,)
-        c, c' and J'_com v [m, m/s, m/s^2].
-    com_jacobian : ndarray, shape (3, nv)
-    frames : mapping of str to FrameMotion
-        The frames given to `Multibody`.
-    """
+    """The terms of (S1), CoM and frames at one state."""
 
     q: Array
+    """Joint angles, shape (n,) [rad]."""
     v: Array
+    """Velocity of the base and of the joints, shape (6 + n,)."""
     H: Array
+    """Generalized inertia, shape (nv, nv)."""
     h: Array
+    """Coriolis, centrifugal and gravity effects, shape (nv,)."""
     com: Array
+    """c, shape (3,) [m]."""
     com_velocity: Array
+    """c', shape (3,) [m/s]."""
     com_jacobian: Array
+    """J_com, shape (3, nv)."""
     com_drift: Array
+    """J'_com v, shape (3,) [m/s^2]."""
     frames: Mapping[str, FrameMotion]
+    """The frames given to `Multibody`."""
 
     @property
     def nv(self) -> int:

@@ -31,24 +31,17 @@ ROOM = yaml.safe_load(find_share("config/nav2", "room.yaml").read_text())
 
 @dataclass(frozen=True)
 class Client:
-    """A walk, and how a client steers it.
-
-    Attributes
-    ----------
-    name : str
-        Of the configuration.
-    speed, turn : float
-        Largest velocities [m/s, rad/s]: the limits of Nav2's velocity_smoother.
-    near, within : float
-        A goal counts as reached at the first distance by odometry; its true distance must be below the second [m],
-        which contains the drift of all goals.
-    """
+    """A walk, and how a client steers it."""
 
     name: str
+    """Of the configuration."""
     speed: float
     turn: float
+    """Largest velocities [m/s, rad/s]: the limits of Nav2's velocity_smoother."""
     near: float
     within: float
+    """A goal counts as reached at the first distance by odometry; its true distance must be below the second [m], which
+    contains the drift of all goals."""
 
     def velocity(self, heading: float, ahead: np.ndarray, left: float) -> Twist:
         """Turn towards a place `ahead`, then walk there; slower in the last 10 cm of what is `left` of the way."""

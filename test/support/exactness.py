@@ -191,26 +191,18 @@ def checked_walk(config: Config, scenario: Scenario) -> tuple[WholeBodyTrace, An
 
 @dataclass
 class Answers:
-    """Accuracy of the solutions of a walk.
-
-    Attributes
-    ----------
-    every : int
-        Every how many ticks the solution is compared with Clarabel's.
-    ticks, sampled : int
-        Number of ticks checked, and of those compared with Clarabel.
-    equality, inequality : float
-        Largest residual of an equality and largest violation of an inequality of levels 1 and 2.
-    acceleration : float
-        Largest difference from Clarabel's accelerations at tolerance 1e-9 [rad/s^2].
-    """
+    """Accuracy of the solutions of a walk."""
 
     every: int = 20
+    """Every how many ticks the solution is compared with Clarabel's."""
     ticks: int = 0
     sampled: int = 0
+    """Number of ticks checked, and of those compared with Clarabel."""
     equality: float = 0.0
     inequality: float = 0.0
+    """Largest residual of an equality and largest violation of an inequality of levels 1 and 2."""
     acceleration: float = 0.0
+    """Largest difference from Clarabel's accelerations at tolerance 1e-9 [rad/s^2]."""
 
     def check(self, controller: WholeBodyController) -> None:
         """Check the last tick; a tick with relaxed constraints is left out."""
@@ -266,22 +258,15 @@ def clarabel_solution(h: Hierarchy, tolerance: float = 1e-9) -> Array:
 
 @dataclass(frozen=True)
 class Infeasible:
-    """Result of a tick whose (S14) is infeasible.
-
-    Attributes
-    ----------
-    method : str
-        How it was solved.
-    level1 : float
-        Largest violation of level 1.
-    residual, least : float
-        Residual of level 2, and the least residual possible under level 1, computed independently [m].
-    """
+    """Result of a tick whose (S14) is infeasible."""
 
     method: str
+    """How it was solved."""
     level1: float
+    """Largest violation of level 1."""
     residual: float
     least: float
+    """Residual of level 2, and the least residual possible under level 1, computed independently [m]."""
 
 
 def infeasible(config: Config, model: RobotModel, away: float = 0.6, when: float = 0.55) -> Infeasible:

@@ -158,21 +158,17 @@ class Problem(NamedTuple):
 class Residuals:
     """Scaled residuals of the Karush-Kuhn-Tucker conditions.
 
-    Attributes
-    ----------
-    stationarity, dual, complementarity : float
-        Relative to the length of the gradient step times the mean curvature, or to the largest multiplier.
-    primal : float
-        Largest violation of a row, in gradient steps.
-    row : int
-        Index of the row with the largest violation; -1 if all rows are satisfied.
+    Those but the primal one are relative to the length of the gradient step times the mean curvature, or to the largest
+    multiplier.
     """
 
     stationarity: float
     primal: float
+    """Largest violation of a row, in gradient steps."""
     dual: float
     complementarity: float
     row: int = -1
+    """Index of the row with the largest violation; -1 if all rows are satisfied."""
 
     @property
     def largest(self) -> float:

@@ -52,51 +52,37 @@ class Settings(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What the control law reads and writes in a phase.
-
-    Attributes
-    ----------
-    settings : Settings
-    pendulum : Moving
-    c, xi : ndarray, shape (2,)
-        The measured CoM and divergent component [m].
-    vertical : ndarray, shape (3,)
-        Mean vertical, that of the ground.
-    n, d : ndarray, shapes (m, 2) and (m,)
-        Edges of the support polygon.
-    from_height, to_height : float
-        Heights of the CoM above that of the posture at the beginning and at the end of the phase [m].
-    swing, com, height, upright : ndarray
-        Numbers of the `Target` of each task.
-    force : ndarray, shape (3,)
-        Force of the ground per mass [m/s^2].
-    other, sensor : Place
-        Places of the other sole and of the inertial sensor.
-    mass, acceleration, inertia, legs, soles
-        Arguments of `feedforward`.
-    """
+    """What the control law reads and writes in a phase."""
 
     settings: Settings
     pendulum: Moving
     c: Array
     xi: Array
+    """The measured CoM and divergent component, shape (2,) [m]."""
     vertical: Array
+    """Mean vertical, that of the ground, shape (3,)."""
     n: Array
     d: Array
+    """Edges of the support polygon, shapes (m, 2) and (m,)."""
     from_height: float
     to_height: float
+    """Heights of the CoM above that of the posture at the beginning and at the end of the phase [m]."""
     swing: Array
     com: Array
     height: Array
     upright: Array
+    """Numbers of the `Target` of each task."""
     force: Array
+    """Force of the ground per mass, shape (3,) [m/s^2]."""
     other: Place
     sensor: Place
+    """Places of the other sole and of the inertial sensor."""
     mass: float
     acceleration: Array
     inertia: Array
     legs: Mask
     soles: Soles
+    """Arguments of `feedforward`."""
 
 
 MEMORY = Record(
