@@ -23,6 +23,7 @@ from std_msgs.msg import Bool, String
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.doctor import Doctor
 from dqwalk_ros.report.bag.storage import load as load_bag
 from dqwalk_ros.robot.model import load_model
 
@@ -211,19 +212,22 @@ def test_the_walk_waits_while_its_plant_is_stopped_or_killed(make: Any, domain: 
 @pytest.mark.parametrize(
     "profile", [BEST_EFFORT, QoSProfile(depth=10), ros.latched()], ids=["sensor", "cli", "latched"]
 )
-def test_a_plant_that_is_not_ready_is_heard_whatever_its_quality_of_service(
-    make: Any, domain: int, profile: Any
-) -> None:
+def test_a_plant_that_is_not_ready_is_heard_whatever_its_quality_of_service(make: Any, profile: Any) -> None:
+    """By the controller, and by the doctor."""
     one = make("controller", CONFIG)
+    doctor = Doctor(one.context)
     plant = one.foreign_node("driver").create_publisher(Bool, "plant_ready", profile)
     executor: Any = EventsExecutor(context=one.context)
     executor.add_node(one.node)
+    executor.add_node(doctor)
 
     def heard() -> bool:
         plant.publish(Bool(data=False))
         executor.spin_once(timeout_sec=0.05)
-        return not one.node._plant_ready
+        return not one.node._plant_ready and doctor.heard.ready is False
 
     until(heard)
     executor.remove_node(one.node)
-    assert not one.log.lines or "incompatible" not in str(one.log.lines)
+    executor.remove_node(doctor)
+    doctor.destroy_node()
+    assert "incompatible" not in str(one.log.lines)
