@@ -25,6 +25,7 @@ from typing import Any, Self
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.plants.table import entry
 from dqwalk_ros.support.compiled import COMPILING
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.interrupts import deferred_interrupts
 from dqwalk_ros.support.output import write_text
 from dqwalk_ros.support.own_folder import lock
@@ -219,7 +220,7 @@ def _recording_error(processes: Processes, lockstep: bool, ticks: int) -> str:
     of `ticks`, of which each has a state and a command.
     """
     recorded = processes.reports["recorder"]
-    if not recorded:
+    if not recorded or processes.exit_code("recorder"):
         return f"the recorder did not finish the bag: {processes.last_error('recorder')}"
     counts = {name: recorded["counts"][name] for name in ("joint_states", "joint_velocity_commands")}
     missing = recorded["missing"] or {name: ticks - count for name, count in counts.items() if count < ticks}
@@ -347,6 +348,7 @@ def environment(domain: int | None) -> dict[str, str]:
     out["PYTHONUNBUFFERED"] = "1"
     if domain is not None:
         out["ROS_DOMAIN_ID"] = str(domain)
+        out.pop("ROS_DISCOVERY_SERVER", None)  # it is for the nodes of other machines, and may not be there
     return out
 
 
@@ -360,4 +362,4 @@ def private_domain() -> Iterator[int]:
             with held:
                 yield number
             return
-    raise RuntimeError("all 101 ROS domains of this machine are taken by walks")
+    raise ConfigError("all 101 ROS domains of this machine are taken by walks: wait, or set ROS_DOMAIN_ID")

@@ -25,7 +25,7 @@ from dqwalk_ros.plants.base import Plant, pushed_periods
 from dqwalk_ros.plants.table import make_plant, plant_type
 from dqwalk_ros.robot.limits import clamp_velocity
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.support.errors import DqwalkError, StateError
+from dqwalk_ros.support.errors import ConfigError, DqwalkError, StateError
 from dqwalk_ros.support.topics import TOPICS, VELOCITY, WORLD
 
 _ASK_AGAIN = 0.5
@@ -193,10 +193,17 @@ class Integrator(SimulatedPlant):
     Example::
 
         dqwalk_integrator --ros-args --params-file config/paper.yaml -p plant.lockstep:=true
+
+    Raises
+    ------
+    ConfigError
+        With plant.imu, for whose messages the controller would wait.
     """
 
     def __init__(self, options: argparse.Namespace, **keywords: Any) -> None:
         super().__init__("integrator", options, **keywords)
+        if self.config.plant.imu:
+            raise ConfigError("plant.imu is true, but only physics has an inertial sensor: use it, or set it to false")
         self.log_ready()
 
     def make_plant(self) -> Plant:

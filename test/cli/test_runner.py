@@ -199,15 +199,25 @@ def test_progress_is_shown_and_a_suspended_recorder_loses_no_messages(tmp_path: 
     assert max(fractions) > 0.5
 
 
+def test_nodes_in_a_domain_of_their_own_need_no_discovery_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it did not answer, no node heard another, and the walk waited for three minutes."""
+    monkeypatch.setenv("ROS_DISCOVERY_SERVER", "10.255.255.1:11811")
+    assert "ROS_DISCOVERY_SERVER" not in environment(7)
+    assert environment(None)["ROS_DISCOVERY_SERVER"] == "10.255.255.1:11811"
+
+
 def test_a_bag_without_the_end_of_the_walk_is_incomplete() -> None:
     """Without a later message of the topic the recorder sees no gap."""
     counts = {"joint_states": 1268, "joint_velocity_commands": 2}
-    processes = SimpleNamespace(reports={"recorder": {"missing": {}, "counts": counts}})
+    processes = SimpleNamespace(reports={"recorder": {"missing": {}, "counts": counts}}, exit_code=lambda _: 0)
     error = _recording_error(processes, True, 1267)
     assert error == "the bag is incomplete: 1265 of joint_velocity_commands are missing"
     assert not _recording_error(processes, False, 1267)
     counts["joint_velocity_commands"] = 1267
     assert not _recording_error(processes, True, 1267)
+    processes.exit_code, processes.last_error = lambda _: 1, lambda _: "cannot write 'bag': [Errno 27] File too large"
+    for lockstep in (True, False):
+        assert _recording_error(processes, lockstep, 1267).endswith("cannot write 'bag': [Errno 27] File too large")
 
 
 @pytest.mark.long

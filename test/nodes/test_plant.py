@@ -24,6 +24,7 @@ from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
+from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.topics import TOPICS
 from dqwalk_ros.walks.table import make_controller
 
@@ -106,6 +107,11 @@ def test_a_physics_walk_in_lockstep_equals_that_of_one_process(nodes: Any) -> No
     assert compared > 250
     assert {m.header.frame_id for m in imus.values()} == {model.imu}
     assert {m.header.frame_id for m in pressures.values()} == {"world"}
+
+
+def test_the_integrator_refuses_a_walk_that_waits_for_an_inertial_sensor(make: Any) -> None:
+    with pytest.raises(ConfigError, match=r"plant\.imu is true, but only physics has an inertial sensor"):
+        make("integrator", CONFIG.updated({"plant.name": "", "plant.imu": True}))
 
 
 @pytest.mark.parametrize("dt", [0.005, 0.03, 0.07])
