@@ -40,7 +40,7 @@ _TYPES = {
 _CHECK = 0.02
 """Period of the check whether states and commands still arrive [s]."""
 _REPEATED = 1.0
-"""Time for which the command to stay is repeated [s]."""
+"""Time for which the command to hold still is repeated [s]."""
 _PERIODS = 2.0
 """Largest number of periods for which one command moves the robot: lost time is not made up for."""
 
@@ -50,10 +50,10 @@ class RobotDrive(WalkNode):
 
     The robot's joint_state_broadcaster publishes joint_states, to which the controller of the walk subscribes. This
     node converts joint_velocity_commands for the robot's forward_command_controller. That controller repeats its last
-    command for ever, so without a command or a state for plant.command_timeout this node commands the robot to stay: it
-    repeats the last positions, or sends zero velocity. It sends nothing to the robot before the first command, and
-    begins at angles on which three states in a row agree. A joint that jumps to another angle, or moves against its
-    full torque, stops the robot until ~/reset.
+    command forever, so without a command or a state for plant.command_timeout this node commands the robot to hold
+    still: it repeats the last positions, or sends zero velocity. It sends nothing before the first command, and begins
+    at angles on which three states in a row agree. A joint that jumps to another angle, or moves against its full
+    torque, stops the robot until ~/reset.
 
     Subscribes to::
 
@@ -107,7 +107,7 @@ class RobotDrive(WalkNode):
         self._recent: deque[Array] = deque(maxlen=JUMPS)  # measured angles of all joints (N,) [rad]
         self._rest = np.zeros(len(self._joints))  # where the other joints stay [rad]
         self._stamp, self._steps = -1, ClockSteps()  # of the last state [ns]
-        self._moved = self._stopped = 0.0  # times of the last command, and since when the robot stays [s]
+        self._moved = self._stopped = 0.0  # times of the last command, and since when the robot holds still [s]
         self._blind = ""  # why no command can have an effect
         unnamed = self._joints if o.type == "float64_multi_array" else ()
         self._controllers = RobotControllers(self, self._output, unnamed, o.interface, self.steady)
@@ -198,7 +198,7 @@ class RobotDrive(WalkNode):
         self._led, self._holds, self._next = q, np.zeros_like(q), np.zeros_like(q)
 
     def _check(self) -> None:
-        """Command the robot to stay while it must; repeatedly, because a message may be lost."""
+        """Command the robot to hold still while it must; repeatedly, because a message may be lost."""
         self._commands.log_motion()
         self._controllers.look()
         self._look()
@@ -231,7 +231,7 @@ class RobotDrive(WalkNode):
         self._commands.unable = self._blind if not self._commands.gate.refused else ""
 
     def _stay(self) -> None:
-        """Command the robot to stay: with the last positions, or with zero velocity; after a while, nothing more."""
+        """Command the robot to hold still, by the last positions or by zero velocity; later command nothing."""
         if self._last is not None and self._law.active:
             position = self.config.output.interface == "position"
             if not (position and self._controllers.trouble):  # positions in a wrong order are a motion
@@ -280,6 +280,6 @@ class RobotDrive(WalkNode):
         self.diagnose("plant", self._model.name, level, text, values | self._commands.counts(), max(self._stamp, 0))
 
     def close(self) -> None:
-        """Command the robot to stay, because its controllers repeat the last command."""
+        """Command the robot to hold still, because its controllers repeat the last command."""
         self._commands.close()
         self._stay()
