@@ -200,11 +200,6 @@ class LinesApart(Constraint):
     distance: float
     function = lines_apart
 
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """A point and the direction of each line."""
-        return (self.point, self.direction, self.other_point, self.other_direction)
-
     @cached_property
     def parameters(self) -> Array:
         """The distance, shape (1,)."""
@@ -230,11 +225,6 @@ class PointOutsideLine(Constraint):
     direction: Direction
     distance: float
     function = outside_line
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The point, and a point and the direction of the line."""
-        return (self.target, self.point, self.direction)
 
     @cached_property
     def parameters(self) -> Array:
@@ -264,11 +254,6 @@ class AxisInCone(Constraint):
     """Largest angle between them, at most pi [rad]."""
     function = in_cone
     unit = "rad"
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The axis."""
-        return (self.axis,)
 
     @cached_property
     def parameters(self) -> Array:
@@ -308,11 +293,6 @@ class PointOutsideSphere(Constraint):
     """[m]"""
     function = outside_sphere
 
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The point."""
-        return (self.point,)
-
     @cached_property
     def parameters(self) -> Array:
         """Centre, velocity and radius, shape (7,)."""
@@ -338,11 +318,6 @@ class PointOverMovingPlane(Constraint):
     radius: float = 0.0
     """Of the sphere [m]."""
     function = over_moving_plane
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The point, and origin and normal of the plane."""
-        return (self.point, self.origin, self.normal)
 
     @cached_property
     def parameters(self) -> Array:

@@ -133,11 +133,6 @@ class PointInCylinder(Constraint):
     cylinder: Cylinder
     function = inside_cylinder
 
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The point."""
-        return (self.point,)
-
     @cached_property
     def parameters(self) -> Array:
         """Direction and moment of the axis, and the radius, shape (7,)."""
@@ -167,11 +162,6 @@ class PointOverPlane(Affine, Constraint):
 
     point: Point | CenterOfMass
     plane: Plane
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The point."""
-        return (self.point,)
 
     @cached_property
     def A(self) -> Array:
@@ -219,11 +209,6 @@ class PointInsideWall(Constraint):
     depth: float
     """Of the allowed region [m]."""
     function = inside_wall
-
-    @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The point, and the moving point of the plane."""
-        return (self.point, self.moving)
 
     @cached_property
     def parameters(self) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -291,9 +291,10 @@ class Quantity(ABC):
     the derivative by time for features at rest. Arrays are float64; `elapsed` is the time since the phase began [s]."""
 
     @property
-    @abstractmethod
     def watches(self) -> tuple[Feature, ...]:
-        """Features whose stacked coordinates are s (m,)."""
+        """Features whose stacked coordinates are s (m,); by default those among the fields, in their order."""
+        values = (getattr(self, part.name) for part in fields(self))
+        return tuple(value for value in values if isinstance(value, Feature))
 
     @property
     def parameters(self) -> Array:

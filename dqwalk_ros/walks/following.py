@@ -191,11 +191,6 @@ class Follow(Affine, Task):
     """Of k coordinates."""
 
     @property
-    def watches(self) -> tuple[Feature, ...]:
-        """The feature."""
-        return (self.feature,)
-
-    @property
     def A(self) -> Array:
         """Selects the coordinates that follow, shape (k, m)."""
         return self.selects
