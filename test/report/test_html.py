@@ -142,6 +142,13 @@ def test_two_walks_side_by_side(path, tmp_path, one_figure):
     assert text.count("data:image/svg+xml") == 2
 
 
+def test_a_page_is_added_to_an_earlier_report(path, tmp_path):
+    """Its pictures, drawn first in another format, have the same layout, so the files of the report stay."""
+    for options in ([], ["--html"], []):
+        assert cli.main(["report", str(path), "--out", str(tmp_path), "--quiet", *options]) == 0
+    assert (tmp_path / "report.html").exists()
+
+
 def test_a_page_that_exists_is_refused_before_the_walk_is_evaluated(path, tmp_path, monkeypatch, capsys):
     """That of one walk and that of two are different files."""
     (tmp_path / "report.html").touch()

@@ -49,7 +49,8 @@ _STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dqwalk",  # the same figure is the same file
     "pdf.fonttype": 42,
-    "savefig.dpi": 160,
+    "figure.dpi": 160,
+    "savefig.dpi": "figure",
     "savefig.facecolor": "white",
 }
 _UNDATED: dict[str, dict[str, None]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
@@ -100,6 +101,9 @@ def save(
 def write_figure(figure: Figure, file: Path | BinaryIO, kind: str) -> None:
     """Write a figure as png, pdf or svg."""
     with drawing():  # resolution and fonts are read when the figure is saved
+        if kind != "png":  # else its layout would depend on the format that is written first
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
         figure.savefig(file, format=kind, metadata=_UNDATED.get(kind))
     figure.set_layout_engine("none")  # compute the layout only once
 
