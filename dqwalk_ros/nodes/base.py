@@ -45,6 +45,9 @@ for a command publishes twice a second. A node that is shutting down has the sam
 _STANDS_STILL = 0.5
 """Time without a later time of /clock after which it stands still [s]: slow simulations publish some a second."""
 
+_CHECK_TYPES = 2.0
+"""Period of the check for topics that others use with another type [s]."""
+
 _ACKNOWLEDGED = {True: 12.0, False: 0.25}
 """`WalkNode.patience`: in lockstep, where the bag must be complete, and in real time, where the plant's watchdog stops
 the robot even if the last message is lost."""
@@ -99,6 +102,7 @@ class WalkNode(Node):
         self.done = Future()
         self.is_child: bool = options.child
         self._diagnostics = self.advertise("diagnostics") if self.has_diagnostics else None
+        self.create_timer(_CHECK_TYPES, self.check_types)
 
     @property
     def lockstep(self) -> bool:
@@ -182,6 +186,14 @@ class WalkNode(Node):
                 event_callbacks=SubscriptionEventCallbacks(incompatible_qos=lower),
             )
         )
+
+    def check_types(self) -> None:
+        """Log an error about the topics of this node that others use with another type."""
+        several = {topic for topic, types in self.get_topic_names_and_types() if len(types) > 1}
+        ends: list[Any] = [*self.publishers, *self.subscriptions] if several else []
+        own = {end.topic_name: end.msg_type for end in ends if end.topic_name in several}
+        if found := [text for topic, kind in own.items() if (text := ros.of_another_type(self, topic, kind))]:
+            self.get_logger().error("; ".join(found), **throttled(10.0))
 
     def diagnose(
         self, what: str, hardware: str, level: str, message: str, values: Mapping[str, object], stamp: int

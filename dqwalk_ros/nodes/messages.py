@@ -27,9 +27,13 @@ from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Inertial, upward
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
+from dqwalk_ros.support.wording import listed
 
 _LEASE = 0.5
 """Time without a sign of life after which a publisher of `watched` is taken for killed or stopped [s]."""
+
+_OTHER_TYPES = {"cmd_vel": "; see node.stamped_cmd_vel"}
+"""What to do about a topic of another type."""
 
 
 def best_effort(depth: int) -> QoSProfile:
@@ -59,6 +63,17 @@ def message_type(name: str) -> Any:
     """Return the Python class of a message type such as ``std_msgs/msg/String``."""
     package, _, kind = name.partition("/msg/")
     return getattr(importlib.import_module(f"{package}.msg"), kind)
+
+
+def of_another_type(node: Node, topic: str, kind: Any) -> str:
+    """Return which nodes use a topic, of this full name, with another type than `kind`, so that no message passes."""
+    own = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+    ends = (*node.get_publishers_info_by_topic(topic), *node.get_subscriptions_info_by_topic(topic))
+    others = {f"{end.node_name} with {end.topic_type}" for end in ends if end.topic_type != own}
+    if not others:
+        return ""
+    advice = next((advice for name, advice in _OTHER_TYPES.items() if topic.endswith(f"/{name}")), "")
+    return f"{listed(others)} uses {topic}, which is a {own} here{advice}"
 
 
 def publishers_of(node: Node, topic: str) -> tuple[str, ...]:

@@ -71,6 +71,8 @@ class RobotControllers:
         """Why nothing may be sent, or ""; a listener that comes later, and is being asked, stops no robot."""
         topic = self._output.topic_name
         if not self._output.get_subscription_count():
+            if other := ros.of_another_type(self._node, topic, self._output.msg_type):
+                return f"{other}: set output.type"
             return f"no node subscribes to {topic}: is the robot's controller active?"
         if self._others:
             return f"more than one node commands {topic}: {self._others}"

@@ -10,8 +10,6 @@ from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.safety import Watchdog
 
-_CHECK_TYPES = 2.0
-"""Period of the check for cmd_vel of the wrong message type [s]."""
 _STILL = (0.0, 0.0, 0.0)
 
 
@@ -34,16 +32,6 @@ class Steering:
             node.listen(TwistStamped, "cmd_vel", lambda msg: self._on_twist(msg.twist), 1)
         else:
             node.listen(Twist, "cmd_vel", self._on_twist, 1)
-        node.create_timer(_CHECK_TYPES, self._check_types)
-
-    def _check_types(self) -> None:
-        """Log an error about a publisher whose messages cannot be received, because they are of the other type."""
-        stamped = self._node.config.node.stamped_cmd_vel
-        other = "geometry_msgs/msg/Twist" if stamped else "geometry_msgs/msg/TwistStamped"
-        ends = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("cmd_vel"))
-        if names := [end.node_name for end in ends if end.topic_type == other]:
-            text = f"cmd_vel of {', '.join(names)} is a {other}: set node.stamped_cmd_vel to {str(not stamped).lower()}"
-            self._node.get_logger().error(text, **throttled(10.0))
 
     def _on_twist(self, msg: Twist) -> None:
         asked = (msg.linear.x, msg.linear.y, msg.angular.z)

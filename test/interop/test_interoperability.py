@@ -462,8 +462,10 @@ def test_cmd_vel_is_accepted_stamped_and_unstamped(make: Any, stamped: bool) -> 
     one.send("cmd_vel", TwistStamped(twist=msg) if stamped else msg)
     assert one.node._steering._asked == (0.01, 0.0, 0.0)
     one.foreign_node("teleop").create_publisher(Twist if stamped else TwistStamped, "cmd_vel", 1)
-    until(lambda: one.node._steering._check_types() or "set node.stamped_cmd_vel" in one.log)
-    assert f"set node.stamped_cmd_vel to {str(not stamped).lower()}" in one.log
+    until(lambda: one.node.check_types() or "see node.stamped_cmd_vel" in one.log)
+    kinds = [f"geometry_msgs/msg/{name}" for name in ("Twist", "TwistStamped")]
+    own, other = kinds[stamped], kinds[not stamped]
+    assert f" with {other} uses /cmd_vel, which is a {own} here; see node.stamped_cmd_vel" in one.log
 
 
 def test_quality_of_service_can_be_overridden(make: Any) -> None:
