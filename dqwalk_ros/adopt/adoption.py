@@ -61,40 +61,27 @@ _HEAVY_FOOT = 0.1
 
 @dataclass(frozen=True)
 class Adoption:
-    """An adopted robot: its files, its parts and the parameters of its walk.
-
-    Attributes
-    ----------
-    folder : Path
-        Folder with ``robot.urdf``, ``robot.yaml``, ``dynamic.yaml``, ``paper.yaml``, ``whole_body.yaml`` (if the pelvis
-        can move sideways over flat soles, and the robot has arms) and ``adopt.json``.
-    config : Config
-        The configuration of ``robot.yaml``.
-    model : RobotModel
-        The model of the repaired robot.
-    anatomy : Anatomy
-        Legs, soles, arms and sensors.
-    numbers : Numbers
-        The initial posture, and quantities from which the parameters were derived.
-    entries : tuple of Entry
-        All parameters in ``robot.yaml``.
-    evidence : tuple of Entry
-        Values found in the robot description, with their sources.
-    repairs : tuple of str
-        Repairs of the robot description.
-    findings : tuple of Finding
-        Why no standing walk is possible, and problems that `check` found.
-    """
+    """An adopted robot: its files, its parts and the parameters of its walk."""
 
     folder: pathlib.Path
+    """Folder with ``robot.urdf``, ``robot.yaml``, ``dynamic.yaml``, ``paper.yaml``, ``whole_body.yaml`` (if the pelvis
+    can move sideways over flat soles, and the robot has arms) and ``adopt.json``."""
     config: Config
+    """The configuration of ``robot.yaml``."""
     model: RobotModel
+    """The model of the repaired robot."""
     anatomy: Anatomy
+    """Legs, soles, arms and sensors."""
     numbers: Numbers
+    """The initial posture, and quantities from which the parameters were derived."""
     entries: tuple[Entry, ...]
+    """All parameters in ``robot.yaml``."""
     evidence: tuple[Entry, ...]
+    """Values found in the robot description, with their sources."""
     repairs: tuple[str, ...]
+    """Repairs of the robot description."""
     findings: tuple[Finding, ...]
+    """Why no standing walk is possible, and problems that `check` found."""
 
     def table(self) -> str:
         """Return the results as a text table: quantity, value, confidence and source."""

@@ -49,55 +49,38 @@ _DISTANCES = 1.0, 0.87, 0.75, 0.62, 0.5, 0.4, 1.15, 1.3, 1.5, 1.75
 
 @dataclass(frozen=True)
 class Anatomy:
-    """The parts of a biped.
-
-    Attributes
-    ----------
-    turn : ndarray, shape (3, 3)
-        Axes of the robot (x forward, y left, z up) in the axes of the root link, as rows.
-    legs : dict of Foot to tuple of str
-        Joints from the hip to the ankle.
-    kinds : str
-        Axes of the joints of a leg: R, P and Y for roll, pitch and yaw, S for skew ones, such as ``YRPPPR``.
-    sideways, turns : bool
-        Whether the pelvis can move sideways over both flat soles, and whether the feet can turn under it.
-    soles : dict of Foot to FoundSole
-        The soles of both feet.
-    pelvis, torso, imu : str
-        Links; `imu` is empty if no link is named like an inertial sensor.
-    hands : dict of Foot to str
-        Links at the ends of the arms; empty for a robot without arms.
-    arms : dict of Foot to tuple of str
-        Joints from the torso to the hand; empty for a robot without arms.
-    waist : tuple of str
-        Joints between the pelvis and the torso.
-    leg : float
-        Height of the hips above the soles [m].
-    hips : DQ
-        Pose of the robot's axes halfway between the hips, in the axes of the root link, in the zero posture.
-    apart : float
-        Lateral distance of the soles' centres when standing [m]: that of the zero posture, limited to a range without
-        collisions if the pelvis can move sideways.
-    evidence : tuple of Entry
-        The values above, with their sources.
-    """
+    """The parts of a biped."""
 
     turn: Array
+    """Axes of the robot (x forward, y left, z up) in the axes of the root link, as rows, shape (3, 3)."""
     legs: dict[Foot, tuple[str, ...]]
+    """Joints from the hip to the ankle."""
     kinds: str
+    """Axes of the joints of a leg: R, P and Y for roll, pitch and yaw, S for skew ones, such as ``YRPPPR``."""
     sideways: bool
     turns: bool
+    """Whether the pelvis can move sideways over both flat soles, and whether the feet can turn under it."""
     soles: dict[Foot, FoundSole]
+    """The soles of both feet."""
     pelvis: str
     torso: str
     imu: str
+    """Links; `imu` is empty if no link is named like an inertial sensor."""
     hands: dict[Foot, str]
+    """Links at the ends of the arms; empty for a robot without arms."""
     arms: dict[Foot, tuple[str, ...]]
+    """Joints from the torso to the hand; empty for a robot without arms."""
     waist: tuple[str, ...]
+    """Joints between the pelvis and the torso."""
     leg: float
+    """Height of the hips above the soles [m]."""
     hips: DQ
+    """Pose of the robot's axes halfway between the hips, in the axes of the root link, in the zero posture."""
     apart: float
+    """Lateral distance of the soles' centres when standing [m]: that of the zero posture, limited to a range without
+    collisions if the pelvis can move sideways."""
     evidence: tuple[Entry, ...]
+    """The values above, with their sources."""
 
 
 def find_anatomy(

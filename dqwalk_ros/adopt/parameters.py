@@ -69,36 +69,23 @@ REFERENCE = 0.46
 
 @dataclass(frozen=True)
 class Numbers:
-    """Quantities from which the parameters are derived.
-
-    Attributes
-    ----------
-    model : RobotModel
-    anatomy : Anatomy
-    standing : Standing
-    torque : float
-        Largest static torque in single support, as a fraction of the effort limit of the joint.
-    joint : str
-        The joint of `torque`.
-    weak : dict of str to float
-        Joints of the legs whose effort limits are too small to walk, with limits to assume [N m].
-    reach : float
-        Length of the longest step within the reach of the legs, of those up to `LONGEST` legs [m].
-    stuck : tuple of str
-        The joints at a limit in this step.
-    hindrance : str
-        Why no standing walk is possible; empty if one may be.
-    """
+    """Quantities from which the parameters are derived."""
 
     model: RobotModel
     anatomy: Anatomy
     standing: Standing
     torque: float
+    """Largest static torque in single support, as a fraction of the effort limit of the joint."""
     joint: str
+    """The joint of `torque`."""
     weak: Mapping[str, float]
+    """Joints of the legs whose effort limits are too small to walk, with limits to assume [N m]."""
     reach: float
+    """Length of the longest step within the reach of the legs, of those up to `LONGEST` legs [m]."""
     stuck: tuple[str, ...]
+    """The joints at a limit in this step."""
     hindrance: str = ""
+    """Why no standing walk is possible; empty if one may be."""
 
     @classmethod
     def of(cls, model: RobotModel, anatomy: Anatomy, standing: Standing) -> Numbers:

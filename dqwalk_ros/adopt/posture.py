@@ -35,33 +35,22 @@ _LEAST = 1e-3
 
 @dataclass(frozen=True)
 class Standing:
-    """A standing posture.
-
-    Attributes
-    ----------
-    q : ndarray, shape (n,)
-        Joint angles [rad].
-    com : ndarray, shape (3,)
-        CoM in the axes of the left sole, relative to the point halfway between both soles [m].
-    pelvis : float
-        Height of the pelvis [m].
-    error : float
-        Largest error of the constraints, with angles multiplied by 0.3 leg lengths [m].
-    knee : float
-        Mean distance of the knees in front of the line from hip to ankle [m].
-    off : float
-        Largest difference of the length of a leg from the wanted one, as a fraction of this.
-    margin : float
-        Least distance of the joints from their limits that was required [rad].
-    """
+    """A standing posture."""
 
     q: Array
+    """Joint angles, shape (n,) [rad]."""
     com: Array
+    """CoM in the axes of the left sole, relative to the point halfway between both soles, shape (3,) [m]."""
     pelvis: float
+    """Height of the pelvis [m]."""
     error: float
+    """Largest error of the constraints, with angles multiplied by 0.3 leg lengths [m]."""
     knee: float
+    """Mean distance of the knees in front of the line from hip to ankle [m]."""
     off: float
+    """Largest difference of the length of a leg from the wanted one, as a fraction of this."""
     margin: float
+    """Least distance of the joints from their limits that was required [rad]."""
 
 
 def stand(model: RobotModel, anatomy: Anatomy, bend: float = _BENT) -> Standing:
