@@ -205,13 +205,13 @@ def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
     assert not driven.sent
     assert [msg.data for msg in one.got["plant_ready"]] == [False]
     assert "no node subscribes to /joint_commands" in one.got["diagnostics"][-1].status[0].message
-    robot = one.foreign_node("controller_manager")
-    robot.create_subscription(JointTrajectory, "joint_commands", lambda _: None, 1)
+    one.foreign_node("arm").create_subscription(JointTrajectory, "joint_commands", lambda _: None, 1)
     expected = (
         "controller_manager with trajectory_msgs/msg/JointTrajectory uses /joint_commands, which is a sensor_msgs/"
     )
     until(lambda: driven.tick() or driven.node._blind.startswith(expected))
     assert driven.node._blind.endswith("set output.type")
+    robot = one.foreign_node("controller_manager")
     robot.create_subscription(JointState, "joint_commands", lambda _: None, 1)
     until(lambda: driven.tick() or len(one.got["plant_ready"]) > 1)
     assert one.got["plant_ready"][-1].data
