@@ -207,7 +207,7 @@ def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
     assert "no node subscribes to /joint_commands" in one.got["diagnostics"][-1].status[0].message
     one.foreign_node("arm").create_subscription(JointTrajectory, "joint_commands", lambda _: None, 1)
     expected = (
-        "controller_manager with trajectory_msgs/msg/JointTrajectory uses /joint_commands, which is a sensor_msgs/"
+        "arm with trajectory_msgs/msg/JointTrajectory uses /joint_commands, which is a sensor_msgs/msg/JointState"
     )
     until(lambda: driven.tick() or driven.node._blind.startswith(expected))
     assert driven.node._blind.endswith("set output.type")
