@@ -206,12 +206,13 @@ def adopt(
             (folder / name).unlink(missing_ok=True)  # of a robot that was adopted here before
         config = load(folder / "robot.yaml")
         model = load_model(config.robot)
+        walks = load(folder / "dynamic.yaml") if anatomy.lean is not None else config
         masses = _mass_evidence(numbers, "guess" if guessed else "sure")
         found = Adoption(
             folder, config, model, numbers.anatomy, numbers, tuple(entries),
             (*numbers.anatomy.evidence, *masses, *driven, *_missing_evidence(shapes)),
             tuple(dict.fromkeys((*urdf.repairs, *model.repairs))),
-            (*([Finding(numbers.hindrance, "")] if numbers.hindrance else []), *check(config, model)),
+            (*([Finding(numbers.hindrance, "")] if numbers.hindrance else []), *check(walks, model)),
         )  # fmt: skip
         write_text(folder / "adopt.json", found.text(path), overwrite=overwrite)
     return found
@@ -240,7 +241,7 @@ def _robot(
     """
     sole = anatomy.soles[Foot.LEFT]
     free = {joint for leg in anatomy.legs.values() for joint in leg}
-    if not anatomy.sideways:
+    if not anatomy.sideways and anatomy.lean is None:
         free |= set(anatomy.waist)  # where the pelvis cannot move sideways, the trunk moves the CoM over a sole
     found = RobotConfig(
         urdf=str(folder / "robot.urdf"),

@@ -17,6 +17,7 @@ import numpy as np
 
 from dqwalk_ros.adopt.arms import find_hands, find_imu
 from dqwalk_ros.adopt.doubts import check_density, check_sizes
+from dqwalk_ros.adopt.lean import Lean, waist_moves
 from dqwalk_ros.adopt.legs import Leg, bent, freedom, leg_of
 from dqwalk_ros.adopt.pair import NoLegsError, branches, find_pair, mirrored
 from dqwalk_ros.adopt.skeleton import Entry, Skeleton
@@ -41,6 +42,8 @@ _SAME = 1e-3
 """Largest distance of joints at one place, as a fraction of the height of a leg."""
 _FASTEST = 50.0
 """Velocity limit of a leg above which it has another unit or is none [rad/s]; that of fast legs is 20 to 40."""
+_INNER = 0.5
+"""Part of the way from the middle to an ankle by which the CoM must be moved: there the inner part of a sole begins."""
 _CLEARANCE = 0.02
 """Half of the least gap between the soles, as a fraction of the leg length."""
 _DISTANCES = 1.0, 0.87, 0.75, 0.62, 0.5, 0.4, 1.15, 1.3, 1.5, 1.75
@@ -72,6 +75,8 @@ class Anatomy:
     """Joints from the torso to the hand; empty for a robot without arms."""
     waist: tuple[str, ...]
     """Joints between the pelvis and the torso."""
+    lean: Lean | None
+    """How the pelvis leans to move the CoM sideways, if neither it nor the waist can move it so."""
     leg: float
     """Height of the hips above the soles [m]."""
     hips: DQ
@@ -172,8 +177,8 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     waist = tuple(joint for joint in skeleton.way(torso_body) if joint not in skeleton.way(pelvis_body))
     sideways, turns = _freedom(skeleton, legs, float(hip[2] - ankle[2]))
     kinds = "".join(_kind(skeleton.axis(joint)) for joint in one)
-    if not sideways:
-        _check_waist(skeleton, waist, kinds, 0.5 * abs(float((left.ankle - right.ankle)[1])))
+    over = 0.5 * abs(float((left.ankle - right.ankle)[1]))
+    leans = not sideways and waist_moves(skeleton, waist) < _INNER * over
     soles = find_soles(skeleton, legs, float(hip[2] - ankle[2]))
     ground = float(np.mean([sole.placed(skeleton).translation()[2] for sole in soles.values()]))
     y = [float(sole.placed(skeleton).translation()[1]) for sole in soles.values()]
@@ -193,6 +198,7 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
         hands=hands,
         arms={foot: tuple(j for j in skeleton.chain[hand] if j not in waist) for foot, hand in hands.items()},
         waist=waist,
+        lean=Lean.of(skeleton, legs, float(hip[2])) if leans else None,
         leg=height,
         hips=skeleton.pose(urdf.root).conj() * DQ.from_pose(hip),
         apart=apart,
@@ -221,6 +227,11 @@ def _evidence(skeleton: Skeleton, found: Anatomy, chosen: str, ahead: Sequence[E
         Entry("limits of the legs", _unlike_limits(skeleton, legs), "an axis or a limit is wrong", "guess"),
         Entry("velocity of the legs", _too_fast(skeleton, legs), "no servo is so fast: degrees/s, or rpm?", "guess"),
         Entry("the legs can", " and ".join(does) or "only bend", "rank of their axes with bent knees"),
+        Entry(
+            "sideways",
+            f"the trunk leans: {1e3 * found.lean.lever:.0f} mm/rad" if found.lean else "",
+            "no ankle rolls, and no waist moves the CoM over a sole",
+        ),
         *(Entry(f"{foot.value} sole", str(s), s.source, s.confidence) for foot, s in found.soles.items()),
         Entry("toes", " ".join(toes), "joints carried by the ankles: locked", "likely"),
         Entry("pelvis", found.pelvis, "link that carries both legs"),
@@ -277,29 +288,6 @@ def _check_knees(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
         raise ModelError(
             f"the knees '{knees[0]}' and '{knees[1]}' bend sideways: their axes are not along the line from leg to leg"
             ", so the legs cannot step ahead; are x and y exchanged in the positions of the legs or in the axes?"
-        )
-
-
-def _check_waist(skeleton: Skeleton, waist: Sequence[str], kinds: str, needed: float) -> None:
-    """Raise ModelError if the waist cannot move the CoM sideways over a sole, `needed` [m] from the middle to an ankle.
-
-    The distances that its joints move the CoM are added, each with an angle of up to a right one within its limits. The
-    CoM need not reach the ankle, only the inner part of the sole, which may begin half-way.
-    """
-    moved = 0.0
-    for joint in waist:
-        carried = [body for body in skeleton.bodies if joint in skeleton.way(body)]
-        share = sum(map(skeleton.mass, carried)) / sum(map(skeleton.mass, skeleton.bodies))
-        axis, arm = skeleton.axis(joint), skeleton.com(carried) - skeleton.place(joint)
-        across, back = np.cross(axis, arm)[1], np.cross(axis, np.cross(axis, arm))[1]
-        limit = skeleton.joints[joint].limit
-        ends = np.clip([limit.lower, limit.upper], -0.5 * np.pi, 0.5 * np.pi)
-        moved += share * float(np.abs(np.sin(ends) * across + (1.0 - np.cos(ends)) * back).max())
-    if moved < 0.5 * needed:
-        what = f"{', '.join(map(repr, waist))} would move it by {1e3 * moved:.0f} mm" if waist else "there is no waist"
-        raise ModelError(
-            f"the legs ({kinds}) cannot move the pelvis sideways over flat soles, because no ankle rolls, and the "
-            f"waist cannot move the CoM over one sole, {1e3 * needed:.0f} mm to the side: {what}"
         )
 
 

@@ -21,7 +21,8 @@ from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.standing_limits import Finding, servo_findings
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.walks.footsteps import Footsteps
+from dqwalk_ros.walks.dynamic.upright import leans
+from dqwalk_ros.walks.footsteps import Carried, Footsteps
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, make_walk
 
@@ -201,7 +202,8 @@ def _step(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
 def _torque(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     """Check that all joints are strong enough to stand on one foot."""
     kin = Kinematics(model, q, Foot.LEFT)
-    over = Footsteps(config, model, q).nearest(Foot.LEFT, kin.pose(kin.swing)).posture
+    carried = Carried((0.5, 0.5), float(kin.com[2])) if leans(kin) else None
+    over = Footsteps(config, model, q, carried).nearest(Foot.LEFT, kin.pose(kin.swing)).posture
     tau = np.abs(gravity_torques(Kinematics(model, over, Foot.LEFT), both=False))
     limit = Servos.of(config, model).torque
     worst = int(np.argmax(tau / limit))

@@ -22,7 +22,7 @@ from dqwalk_ros.paper.statics import GRAVITY, gravity_torques
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.standing_limits import leg_inertia
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.walks.footsteps import Footsteps
+from dqwalk_ros.walks.footsteps import Carried, Footsteps
 
 STIFFEST_FALL = 3.0
 """Servo stiffness as a multiple of m g h below which most robots fall."""
@@ -48,6 +48,8 @@ FROUDE = 0.05
 """Speed of the dynamic walk divided by sqrt(g l), with the leg length l."""
 SINGLE, DOUBLE = 0.4, 0.1
 """Durations of single and double support of the dynamic walk with a leg of the length `REFERENCE` [s]."""
+SHORTEST_DOUBLE = 0.05
+"""Least duration of a double support [s], the bound of ``standing.transfer_duration``."""
 ROTOR = 0.03
 """Inertia of a servo's rotor times its no-load speed, divided by its stall torque [s]; 0.01 to 0.09 in the table."""
 UNKNOWN = 0.5, 6.0
@@ -63,6 +65,14 @@ HIGHEST = 0.1
 """Largest height of such a step [m]."""
 _STAIR = 1.5
 """Height from which a step is a stair, as a multiple of ``gait.footstep_tolerance``."""
+PACES = 1.0, 0.85, 0.7
+"""Durations of a step of the dynamic walk, as parts of the usual one; quicker steps let a trunk lean less."""
+LEAN, MOST_LEAN = 0.2, 0.35
+"""Angles by which a trunk leans in usual steps, and at most [rad]."""
+_HIP = 0.8
+"""Part of the range of the hips' rolls in which it leans."""
+START, QUICK_START = 0.6, 0.4
+"""Duration of the start of the dynamic walk, and that of a robot whose trunk leans the less for it [s]."""
 REFERENCE = 0.46
 """Leg length at which the dynamic walk has the lengths and times of Poppy's [m]; Poppy's own hips are 0.42 m high."""
 
@@ -91,7 +101,8 @@ class Numbers:
     def of(cls, model: RobotModel, anatomy: Anatomy, standing: Standing) -> Numbers:
         """Return the quantities of a robot that stands in the posture `standing`."""
         config = Config().updated({"gait.step_width": rounded(anatomy.apart, 4)})
-        steps, length = Footsteps(config, model, standing.q), LONGEST * anatomy.leg
+        carried = None if anatomy.lean is None else Carried((0.5, 0.5), float(standing.com[2]))
+        steps, length = Footsteps(config, model, standing.q, carried), LONGEST * anatomy.leg
         limits = dict(zip(model.joint_names, model.effort_max.tolist(), strict=True))
         needed, turning = dict[str, float](), dict[str, float]()
         for foot in Foot:
@@ -177,6 +188,21 @@ class Numbers:
         The `armature` of the servos [kg m^2] swings with the leg; that of a small robot is the larger part.
         """
         return rounded(2.0 * ratio * math.sqrt((self.inertia + armature) / stiffness), 2)
+
+    @property
+    def pace(self) -> float:
+        """Duration of a step of the dynamic walk, as a part of the usual one."""
+        lean = self.anatomy.lean
+        most = min(LEAN, _HIP * lean.most) if lean is not None else LEAN
+        return next((pace for pace in PACES if self.leaning(pace) <= most), PACES[-1])
+
+    def leaning(self, pace: float) -> float:
+        """Return by how much the trunk leans in a dynamic walk [rad]; 0 if it need not."""
+        anatomy = self.anatomy
+        if anatomy.lean is None:
+            return 0.0
+        single = pace * SINGLE * math.sqrt(anatomy.leg / REFERENCE)
+        return anatomy.lean.angle(anatomy.apart, self.height, single)
 
     @property
     def margin(self) -> float:
@@ -486,11 +512,12 @@ def dynamic_parameters(numbers: Numbers, damping: float, stiffness: float) -> li
     """
     anatomy = numbers.anatomy
     size = anatomy.leg / REFERENCE
-    slow = math.sqrt(size)
-    single, double = rounded(SINGLE * slow, 2), rounded(DOUBLE * slow, 2)
+    slow = math.sqrt(size) * numbers.pace
+    single, double = rounded(SINGLE * slow, 2), max(rounded(DOUBLE * slow, 2), SHORTEST_DOUBLE)
     speed = FROUDE * math.sqrt(GRAVITY * anatomy.leg)
     step = rounded(speed * (single + double), 2)
     roll = anatomy.sideways
+    start = START if anatomy.lean is None else QUICK_START
     time, length = "as Poppy, scaled by the square root of the leg", "as Poppy, scaled by the leg"
     return [
         Entry("gait.style", "dynamic", "steps of a fixed duration, adjusted to the divergent component of motion"),
@@ -508,7 +535,7 @@ def dynamic_parameters(numbers: Numbers, damping: float, stiffness: float) -> li
         Entry("standing.recovery", 0.1, "as Poppy", "default"),
         Entry("standing.swing_weight", 30.0, "as Poppy", "default"),
         Entry("standing.swing_rate", rounded(12.0 / slow, 2), time),
-        Entry("dynamic.start_duration", rounded(0.6 * slow, 2), time),
+        Entry("dynamic.start_duration", rounded(start * slow, 2), time),
         Entry("dynamic.stop_duration", rounded(slow, 2), time),
         Entry("dynamic.land_late", rounded(0.03 * slow, 2), "a tilted foot touches the ground early"),
         Entry("dynamic.com_rate", rounded(2.0 / slow, 2), time),

@@ -31,6 +31,8 @@ _STARTS = 6
 """Largest number of postures from which a standing posture is searched."""
 _LEAST = 1e-3
 """Largest error of the constraints of a posture, as a fraction of the leg length."""
+_SIDEWAYS, _FIXED = [1, 4], 0.01
+"""The constraints along y, of sole and CoM, and their weight if the robot cannot move them without leaning."""
 
 
 @dataclass(frozen=True)
@@ -181,6 +183,9 @@ def _solve(
     walking = {name for names in anatomy.legs.values() for name in names}
     weight = np.array([1.0 if free_pelvis or name in walking else _TRUNK for name in model.joint_names])
     weight *= 1e-3 * anatomy.leg
+    kept = np.ones(8 if free_pelvis else 11)
+    if anatomy.lean is not None:
+        kept[_SIDEWAYS] = _FIXED
 
     def constraints(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)
@@ -188,7 +193,8 @@ def _solve(
         root = DQ(kin.pose(model.root))
         upright = np.zeros(0) if free_pelvis else lever * root.rotation_vector()
         tilt = lever * other.rotation_vector()
-        return np.concatenate([other.translation() - place, tilt, upright, kin.com[:2] - wanted])
+        e: Array = kept * np.concatenate([other.translation() - place, kin.com[:2] - wanted, tilt, upright])
+        return e
 
     def residual(q: Array) -> Array:
         kin = Kinematics(model, q, Foot.LEFT)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from dqwalk_ros.adopt.anatomy import Anatomy, distances
-from dqwalk_ros.adopt.parameters import LEAST, LONGEST, Numbers, com_threshold
+from dqwalk_ros.adopt.parameters import LEAST, LONGEST, MOST_LEAN, Numbers, com_threshold
 from dqwalk_ros.adopt.posture import over_one_foot, stand, why_not
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.paper.foot import Foot
@@ -57,6 +58,8 @@ def find_stance(model: RobotModel, anatomy: Anatomy) -> Numbers:
 def _at(model: RobotModel, anatomy: Anatomy) -> tuple[Numbers, float]:
     """Return the quantities of the walk, and how near the CoM comes to the middle of a sole [m]; see `find_stance`."""
     standing = stand(model, anatomy)
+    if anatomy.lean is not None:
+        return replace(numbers := Numbers.of(model, anatomy, standing), hindrance=_leans(numbers)), 0.0
     worst = max((over_one_foot(model, anatomy, standing, foot) for foot in Foot), key=lambda one: one.error)
     deviation, most = worst.error, com_threshold(anatomy.leg)
     if deviation > most:  # a walk itself keeps no distance from the limits
@@ -76,3 +79,30 @@ def _at(model: RobotModel, anatomy: Anatomy) -> tuple[Numbers, float]:
             f"{', '.join(numbers.stuck) or 'none of their joints'} at the limit"
         )
     return replace(numbers, hindrance=hindrance), deviation
+
+
+def _leans(numbers: Numbers) -> str:
+    """Return why a robot whose trunk has to lean cannot do a standing walk.
+
+    Raises
+    ------
+    ModelError
+        If it cannot do a dynamic walk either.
+    """
+    lean, apart = numbers.anatomy.lean, numbers.anatomy.apart
+    assert lean is not None
+    none = "no ankle of this robot rolls, and no waist moves its CoM over one sole"
+    if lean.lever <= 0.0:
+        raise ModelError(f"{none}: a trunk that leans would do so, but its CoM is not above the hips")
+    angle, most = numbers.leaning(numbers.pace), min(lean.most, MOST_LEAN)
+    if angle > most:
+        but = f"its hips roll by {math.degrees(lean.most):.0f} degrees" if lean.most < MOST_LEAN else "that tips it"
+        raise ModelError(
+            f"{none}: its trunk, which moves the CoM by {1e3 * lean.lever:.0f} mm/rad, would have to lean by "
+            f"{math.degrees(angle):.0f} degrees in each step even of a dynamic walk on soles that are "
+            f"{1e3 * apart:.0f} mm apart; {but}"
+        )
+    return (
+        f"{none}: for a standing walk its trunk would have to lean by {math.degrees(0.5 * apart / lean.lever):.0f} "
+        f"degrees; in the dynamic walk it leans by {math.degrees(angle):.0f}"
+    )

@@ -41,8 +41,8 @@ _LIGHTER = 0.1
 """Factor of ``task.posture_weight`` with which a joint at its limit holds the CoM less off its goal."""
 _FLAT, _TREAD, _SPARE = 0.3, 0.25, 14
 """Least way to a step and on it [m], and the number of steps with which a robot climbs it; both ways suit two soles."""
-_LONGEST = 120.0
-"""Longest time of a climb [s]."""
+_LONGEST, _PATIENCE = 120.0, 3.0
+"""Longest time of a climb [s], and of a dynamic walk, as a multiple of the planned one."""
 _COMPLIES, _SHORTER = 0.4, 0.7
 """Factors of ``servo.window`` and of the length of a step that may cure a dynamic walk."""
 
@@ -92,9 +92,10 @@ def first_walks(
 ) -> Iterator[tuple[Trial, str]]:
     """Walk in kinematics, then in physics; after a fall try cures until one helps: in physics those of `cures`.
 
-    In kinematics it is that the posture weighs less. Yields each walk and a description of the cures applied to it,
-    empty for the derived parameters. ``robot.yaml`` and ``dynamic.yaml`` are rewritten if a cure helps; no cure changes
-    the parameters `given` by the user. The progress is called with the fraction of the present walk and a line of text.
+    In kinematics it is that the posture weighs less. There is no walk if the trunk has to lean. Yields each walk and a
+    description of the cures applied to it, empty for the derived parameters. ``robot.yaml`` and ``dynamic.yaml`` are
+    rewritten if a cure helps; no cure changes the parameters `given` by the user. The progress is called with the
+    fraction of the present walk and a line of text.
     """
     names: list[str] = []
     changes: dict[str, Any] = {}
@@ -106,6 +107,8 @@ def first_walks(
         config = load(found.folder / "robot.yaml")
         return replace(walk(config, load_model(config.robot), plant, progress), changes=dict(changes)), ", ".join(names)
 
+    if found.anatomy.lean is not None:
+        return  # only its dynamic walk is possible
     first = trial("integrator")
     yield first
     weight = "task.posture_weight"
@@ -163,7 +166,8 @@ def dynamic_walks(
         config = load(found.folder / "dynamic.yaml")
         model = load_model(config.robot)
         done = walk(config, model, "physics", lambda share, text: progress(share, f"dynamic walk in {text}"))
-        why = (done.note, too_much(config, model), heavy) if done.note else ()
+        beyond = too_much(config, model) if found.anatomy.lean is None else ""  # of a pelvis that is upright
+        why = (done.note, beyond, heavy) if done.note else ()
         return replace(done, plant="dynamic walk", note="; ".join(text for text in why if text))
 
     config = load(found.folder / "dynamic.yaml")
@@ -252,10 +256,13 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
 
     An error of the walk is the `note` of the result.
     """
+    standing, most = config.standing, None
+    if config.gait.style == "dynamic":
+        steps = config.gait.steps * (standing.transfer_duration + standing.swing_duration)
+        most = config.dynamic.start_duration + _PATIENCE * steps + config.dynamic.stop_duration
     try:
-        trace = _walked(
-            config.updated({"gait.cycles": 1} if config.gait.style == "paper" else {}), model, plant, progress
-        )
+        one = {"gait.cycles": 1} if config.gait.style == "paper" else {}
+        trace = _walked(config.updated(one), model, plant, progress, most)
     except DqwalkError as error:
         return Trial(plant, False, 0.0, 0.0, str(error))
     series = analyse(trace)
@@ -263,7 +270,9 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
     slow = 1 + (min(config.dynamic.ramp, (config.gait.steps - 1) // 2) if config.gait.style == "dynamic" else 0)
     planned = config.gait.step_length * max(0, swings - slow)
     if not trace.finished:
-        return Trial(plant, False, _distance(trace), planned, "; ".join(trace.notes), causes=tuple(causes(series)))
+        late = f"not at its end after {most:.0f} s: double supports wait until the CoM has arrived" if most else ""
+        why = "; ".join(trace.notes) or late
+        return Trial(plant, False, _distance(trace), planned, why, causes=tuple(causes(series)))
     found = violations(series)
     note = f"{found[0].message}" + (f", and {len(found) - 1} more" if len(found) > 1 else "") if found else ""
     touching = legs_touching(model, trace.q[::_EVERY], find_urdf(config.robot.urdf)) if plant == "physics" else ""

@@ -234,7 +234,7 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
     if len(fast) > 1:
         print(f"{found.folder / 'dynamic.yaml'} has {_what(quick.changes) or 'no changes'}")
     steps = quick.stood and (stands or not quick.note)
-    ends = "falls" if last is not None and last.plant == "physics" else "ends early in kinematics"
+    ends = "is not possible" if last is None else "falls" if last.plant == "physics" else "ends early in kinematics"
     walks = {"robot.yaml": ("the standing walk", stands, ends), "dynamic.yaml": ("the dynamic walk", steps, "falls")}
     for file in (file for file, (_, good, _) in walks.items() if good):
         print(shlex.join(["dqwalk", "simulate", "--config", str(found.folder / file), "--plant", "physics"]))

@@ -22,11 +22,13 @@ from dqwalk_ros.adopt.anatomy import Anatomy, distances, find_anatomy
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.description import description_in
 from dqwalk_ros.adopt.doubts import assume_masses, list_massless, repair_degrees, repair_inertias, use_led_joints
+from dqwalk_ros.adopt.lean import Lean
 from dqwalk_ros.adopt.legs import axes_differ, bent, freedom, leg_of
 from dqwalk_ros.adopt.parameters import Numbers, servo_types
 from dqwalk_ros.adopt.picture import _bones
 from dqwalk_ros.adopt.posture import Standing, stand
-from dqwalk_ros.adopt.trial import Trial
+from dqwalk_ros.adopt.skeleton import Skeleton
+from dqwalk_ros.adopt.trial import Trial, walk
 from dqwalk_ros.config import Config, RobotConfig, load
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -296,9 +298,51 @@ def test_legs_without_ankle_roll_stand_as_far_apart_as_in_the_zero_posture(tmp_p
     assert found.turns
     plain = anatomy_of(Urdf.load(SMALL))
     assert found.apart > plain.apart + 0.1
+    assert found.lean is None
     urdf.joints["waist"].axis = Z
-    with pytest.raises(ModelError, match=r"over one sole, 1\d\d mm to the side: 'waist' would move it by 0 mm"):
-        anatomy_of(urdf)
+    assert anatomy_of(urdf).lean is not None
+
+
+NO_ROLL = r'(name="._ankle_roll" type=)"revolute"', r'\1"fixed"'
+
+
+def test_a_trunk_leans_where_no_ankle_rolls_and_no_waist_moves_the_com(tmp_path: Path) -> None:
+    """By the lever, the CoM moves sideways with the pelvis that rolls over both legs, which stay upright."""
+    urdf = read(tmp_path, NO_ROLL)
+    limits = [urdf.joints[f"{side}_hip_roll"].limit for side in "lr"]
+    limits[0].lower, limits[1].upper = -0.3, 0.25
+    found = anatomy_of(urdf)
+    assert found.lean.most == 0.25
+    posed = Skeleton(urdf, Shapes(urdf, SMALL)).turned(found.turn)
+    total, legs = 0.0, {joint for leg in found.legs.values() for joint in leg}
+    moved = np.zeros(3)
+    for body in posed.bodies:
+        total += posed.mass(body)
+        if not legs & set(posed.way(body)):
+            moved += posed.mass(body) * np.cross(-X, posed.com([body]) - posed.place("l_hip_roll"))
+    assert found.lean.lever == pytest.approx(moved[1] / total, rel=1e-6)
+
+
+def test_a_trunk_leans_less_in_quicker_steps_and_not_at_all_with_the_com_below_the_hips() -> None:
+    angles = [Lean(0.1, 0.5).angle(0.2, 0.8, single) for single in (0.2, 0.4, 0.8)]
+    assert angles == sorted(angles)
+    assert angles[-1] < 1.0  # the CoM at most reaches the sole
+    assert Lean(-0.1, 0.5).angle(0.2, 0.8, 0.4) == np.inf
+
+
+def test_a_robot_whose_trunk_leans_does_the_dynamic_walk(tmp_path: Path) -> None:
+    """With a pelvis that is kept level it waits in double support for a CoM that cannot move."""
+    found = adopt(edited(tmp_path, SMALL, NO_ROLL), tmp_path / "out")
+    assert "for a standing walk its trunk would have to lean by" in found.numbers.hindrance
+    config = load(tmp_path / "out" / "dynamic.yaml").updated({"gait.steps": 6})
+    done = walk(config, found.model, "integrator", lambda *_: None)
+    assert (done.stood, done.note) == (True, "")
+
+
+def test_a_trunk_that_cannot_lean_as_far_as_a_walk_needs_is_an_error(tmp_path: Path) -> None:
+    narrow = r'(name="._hip_roll".*?lower=)"[^"]*" upper="[^"]*"', r'\1"-0.02" upper="0.02"'
+    with pytest.raises(ModelError, match=r"lean by \d+ degrees in each step .*; its hips roll by 1 degrees$"):
+        adopt(edited(tmp_path, SMALL, NO_ROLL, narrow), tmp_path / "out")
 
 
 def test_skew_hips_stand_on_level_soles(tmp_path: Path) -> None:
@@ -944,15 +988,6 @@ def test_the_waist_of_poppy_moves_its_com_over_a_sole() -> None:
     found = anatomy_of(Urdf.load(find_urdf("poppy.urdf")))
     assert not found.sideways
     assert "abs_x" in found.waist
-
-
-def test_legs_without_ankle_roll_and_waist_are_refused_for_that_whatever_their_feet_are(tmp_path: Path) -> None:
-    rolls, round_ = (
-        (r'(name="._ankle_roll" type=)"revolute"', r'\1"fixed"'),
-        ("<box [^>]*0132[^>]*>", '<sphere radius="0.03"/>'),
-    )
-    with pytest.raises(ModelError, match=r"no ankle rolls, and the waist .*: there is no waist$"):
-        anatomy_of(read(tmp_path, rolls, round_))
 
 
 def test_legs_of_a_robot_whose_com_is_below_its_hips_are_taken_for_arms_unless_they_are_named() -> None:

@@ -118,10 +118,6 @@ REFUSED = {
         r"the bodies left_thigh, right_thigh are attached to the world by joints of their own, so the link that",
     ),
     "an error": ((r'joint="left_knee"/>', 'joint="knee"/>'), "MuJoCo refuses .*knee"),
-    "passive ankles": (
-        (r'<position joint="[a-z]*_ankle_roll"/>', ""),
-        "no ankle rolls, .*: there is no waist",
-    ),
 }
 
 
@@ -130,6 +126,11 @@ def test_what_cannot_walk_is_refused_in_one_sentence(name: str, tmp_path: Path) 
     change, expected = REFUSED[name]
     with pytest.raises(ModelError, match=expected):
         adopt(edited(tmp_path, change), tmp_path / "out")
+
+
+def test_ankles_without_an_actuator_beside_driven_joints_do_not_roll(tmp_path: Path) -> None:
+    urdf, _ = load_mjcf(edited(tmp_path, (r'<position joint="[a-z]*_ankle_roll"/>', "")))
+    assert find_anatomy(urdf, Shapes(urdf, SMALL)).lean is not None
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ from dqwalk_ros.walks.dynamic.law import GROUNDED, MEMORY, Memory, Settings, ans
 from dqwalk_ros.walks.dynamic.pendulum import InvertedPendulum, Pendulum, swing_inertia
 from dqwalk_ros.walks.dynamic.plan import Pressed, Reference, Rest, Support, single_supports
 from dqwalk_ros.walks.dynamic.swing import Swing
-from dqwalk_ros.walks.dynamic.upright import FOLLOWED, upright_tasks
+from dqwalk_ros.walks.dynamic.upright import FOLLOWED, leans, upright_tasks
 from dqwalk_ros.walks.following import AtRest, FollowPose, Target
 from dqwalk_ros.walks.footprint import Footprint
 from dqwalk_ros.walks.footsteps import Carried, stair_height
@@ -159,9 +159,10 @@ class DynamicWalk(SteppingWalk):
             self._onto = {foot: self.footsteps.climbing(foot) for foot in Foot}
 
     def _carried(self) -> Carried:
-        """Return where the CoM is while both feet stand: about halfway between the soles."""
-        height = float(Kinematics(self.model, self.posture, Foot.LEFT).com[2])
-        return Carried((0.5 - _SHIFT, 0.5 + _SHIFT), height)
+        """Return where the CoM is while both feet stand: halfway between the soles, or about so if it need not lean."""
+        kin = Kinematics(self.model, self.posture, Foot.LEFT)
+        shift = 0.0 if leans(kin) else _SHIFT
+        return Carried((0.5 - shift, 0.5 + shift), float(kin.com[2]))
 
     def use(self, drive: Drive) -> None:
         """Use a model of the servos: its delay moves the references ahead, and lowers the gain."""
