@@ -311,7 +311,8 @@ class Controller(AnsweringNode):
         if self._mode is not Mode.WALKING or not ready:
             self._falls.forget()
         elif confirmed := self._falls.compare(state, self._sent["velocity"], self._controller.lean):
-            self._fail(confirmed)
+            unheard = "" if ros.executing(self, self.claims) else f"; no plant subscribes to {self.claims}"
+            self._fail(confirmed + unheard)
 
     def _fail(self, reason: str) -> None:
         super()._fail(reason)

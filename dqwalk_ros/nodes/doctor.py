@@ -137,9 +137,7 @@ class Doctor(Node):
         heard.unheard = self.unheard()
         heard.publishers = ros.publishers_of(self, "joint_states")
         heard.controllers = tuple(sorted(set(ros.publishers_of(self, VELOCITY))))
-        ends = self.get_subscriptions_info_by_topic(self.resolve_topic_name(VELOCITY))
-        others = {"doctor", "recorder", "viewer", "phase_monitor"}
-        heard.subscribers = tuple(sorted({end.node_name for end in ends} - others))
+        heard.subscribers = ros.executing(self, VELOCITY)
 
 
 def listen(seconds: float, namespace: str = "", enough: Callable[[Heard], bool] = lambda heard: False) -> Heard:

@@ -82,6 +82,12 @@ def publishers_of(node: Node, topic: str) -> tuple[str, ...]:
     return tuple(sorted(f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends))
 
 
+def executing(node: Node, topic: str) -> tuple[str, ...]:
+    """Return the names of the nodes that subscribe to a topic of commands, but of those that only watch the walk."""
+    ends = node.get_subscriptions_info_by_topic(node.resolve_topic_name(topic))
+    return tuple(sorted({end.node_name for end in ends} - {"doctor", "recorder", "viewer", "phase_monitor"}))
+
+
 def is_heard_by(node: Node, offered: Publisher, name: str) -> bool:
     """Return whether all discovered subscribers of a publisher are connected, with the node `name` among them."""
     asked = node.get_subscriptions_info_by_topic(offered.topic_name)

@@ -11,6 +11,7 @@ from dqwalk_ros.plants.base import require_real_time
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.topics import TOPICS
 from dqwalk_ros.support.wording import listed
 
 _TOPICS = {
@@ -42,6 +43,10 @@ def commanded_joints(config: Config, model: RobotModel) -> tuple[str, ...]:
     output, own = config.output, model.joint_names
     if output.type == "joint_trajectory" and output.interface == "velocity":
         raise ConfigError("'output.type' joint_trajectory needs 'output.interface' position")
+    if output_topic(config).removeprefix("/") in {*TOPICS, "plant_ready"}:
+        raise ConfigError(
+            f"'output.topic' {output_topic(config)} is a topic of the walk, not of the robot's controller"
+        )
     joints = output.joints or own
     if missing := [name for name in own if name not in joints]:
         raise ConfigError(f"'output.joints' lacks {', '.join(missing)}, which the walk moves")

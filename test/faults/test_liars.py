@@ -123,6 +123,9 @@ def test_a_plant_that_receives_no_commands_is_not_a_sensor_fault(make: Any, hold
         node.send("plant_ready", Bool(data=False))
     assert not commands_motion(30)
     assert node.got["phase"][-1].data == ("double_support/left" if holds else "failed")
+    if not holds:
+        text = node.got["diagnostics"][-1].status[0].message
+        assert text.endswith("; no plant subscribes to joint_velocity_commands")
     if holds:
         node.send("plant_ready", Bool(data=True))
         assert commands_motion(2)

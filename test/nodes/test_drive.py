@@ -778,6 +778,11 @@ def test_why_the_states_are_not_valid_is_said_on_diagnostics(make: Any) -> None:
         ({"output.joints": (*NAMES, NAMES[0])}, "names a joint twice"),
         ({"output.type": "joint_trajectory", "output.interface": "velocity"}, "needs 'output.interface' position"),
         ({"plant.lockstep": True}, "a robot does not wait"),
+        (
+            {"output.topic": "joint_states", "output.type": "joint_state"},
+            "'output.topic' joint_states is a topic of the",
+        ),
+        ({"output.topic": "/plant_ready"}, "'output.topic' /plant_ready is a topic of the walk"),
     ],
 )
 def test_inconsistent_output_parameters_are_an_error(make: Any, values: dict[str, Any], expected: str) -> None:
