@@ -222,8 +222,8 @@ def test_a_sample_is_walked_in_both_engines(tmp_path: Path, capsys: pytest.Captu
 
 @pytest.mark.long
 def test_a_walk_that_is_stopped_by_a_step_does_not_count_as_stood() -> None:
-    row = Row("a step", "poppy_dynamic", params=["rough"], set={"physics.rise": 0.03, "gait.steps": 13})
-    found = evidence._evaluate({"": row.made()}, {"": 0.0}, 0, {"row": "", "engine": "physics", "seed": 1})
+    row = Row("a step", "poppy_dynamic", set={"physics.rise": 0.06, "gait.steps": 20})
+    found = evidence._evaluate({"": row}, {"": row.made()}, 0, {"row": "", "engine": "physics", "seed": 1})
     assert not found.stood
     assert found.reason.startswith("the robot was stopped: its soles moved 0.2")
     cell = robustness.walk(row.made(), 0, {})
