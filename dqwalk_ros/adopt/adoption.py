@@ -224,6 +224,7 @@ def _repairs_noted(urdf: Urdf) -> Iterator[None]:
     try:
         yield
     except ModelError as error:
+        error.args = ("; ".join([str(error), *urdf.left_out[:1]]),)  # it may be a leg
         for repair in dict.fromkeys(urdf.repairs):
             error.add_note(repair)
         raise

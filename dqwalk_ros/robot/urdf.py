@@ -71,6 +71,8 @@ class Urdf:
     joints : dict of str to yourdfpy.Joint
         A joint that moves has a unit ``axis`` and a ``limit`` whose values are infinite where the file has none.
         Links and joints are in the order of the file; their origins are matrices (4, 4).
+    left_out : list of str
+        Joints that name a link that is not there, with what they cut off; they are among the repairs, too.
     repairs : list of str
         Each invalid value of the file, and the value that replaces it.
 
@@ -85,8 +87,9 @@ class Urdf:
             import yourdfpy
 
         self.source = source
-        self.repairs: list[str] = []
         root = elements(data, source)
+        self.left_out: list[str] = root.left_out  # type: ignore[attr-defined]
+        self.repairs: list[str] = [*self.left_out]
         self.name = root.get("name") or pathlib.Path(source).stem
         root.set("name", self.name)
         for element in root.iter():
@@ -162,6 +165,8 @@ class Urdf:
             if not lost:
                 raise
             raise ModelError(needed(path, lost[0])) from error
+        if lost and urdf.left_out:
+            raise ModelError(needed(path, lost[0]))
         urdf.repairs += [f"the file '{file}' that it includes is not found: left out" for file in lost]
         urdf.repairs += [
             f"the argument '{name}' has no value: false; or give it by --xacro {name}=true" for name in assumed

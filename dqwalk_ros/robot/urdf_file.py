@@ -95,7 +95,9 @@ def elements(data: bytes | str, source: str) -> ElementTree.Element:
                 link.remove(shape)
     known: dict[str, ElementTree.Element] = {}
     wrong = [error for element in root.iter() for error in _wrong(element, known)]
-    wrong = wrong or _not_a_tree(root)
+    if not wrong:
+        root.left_out = _leave_out(root)  # type: ignore[attr-defined]
+        wrong = _not_a_tree(root)
     if wrong:
         texts = kinds(wrong)
         more = [f"and {len(texts) - _MOST_ERRORS} more"] if len(texts) > _MOST_ERRORS else []
@@ -231,6 +233,40 @@ def _wrong_numbers(element: ElementTree.Element) -> Iterator[str]:
                 yield f"{where} has {key} = '{word[:80]}', which is no number that a robot has"
             elif value < 0.0 and key in ("size", "radius"):
                 yield f"{where} has a negative size"
+
+
+def _leave_out(root: ElementTree.Element) -> list[str]:
+    """Leave out joints that name a link that is not there, and the parts that they cut off; return what is said of it.
+
+    What is left is the largest part. Nothing is left out if it has less than half of the links.
+    """
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    ends = {
+        joint: {part.tag: part.get("link", "") for part in joint if part.tag in ("parent", "child")}
+        for joint in root.findall("joint")
+    }
+    wrong = {joint: [end for end in pair.values() if end not in links] for joint, pair in ends.items()}
+    if not any(wrong.values()):
+        return []
+    parents = {pair["child"]: pair["parent"] for joint, pair in ends.items() if not wrong[joint]}
+    tops = {name: name for name in links}
+    for name in links:
+        for _ in parents:  # as often as there are joints, if they are a loop
+            tops[name] = parents.get(tops[name], tops[name])
+    kept, count = max(((top, [*tops.values()].count(top)) for top in tops.values()), key=lambda one: one[1])
+    if 2 * count <= len(links):
+        return []
+    for joint, pair in ends.items():
+        if wrong[joint] or tops[pair["child"]] != kept:
+            root.remove(joint)
+    for name in [name for name, top in tops.items() if top != kept]:
+        root.remove(links[name])
+    more = f", with {len(links) - count} of {len(links)} links that it carries" if count < len(links) else ""
+    return [
+        f"{place(joint)} names '{lost[0][:80]}', and there is no such link: left out{more}"
+        for joint, lost in wrong.items()
+        if lost
+    ]
 
 
 def _not_a_tree(root: ElementTree.Element) -> list[str]:

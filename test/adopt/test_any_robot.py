@@ -339,6 +339,14 @@ def test_a_robot_whose_trunk_leans_does_the_dynamic_walk(tmp_path: Path) -> None
     assert (done.stood, done.note) == (True, "")
 
 
+def test_a_head_that_is_not_there_is_left_out_and_a_leg_is_missed_by_name(tmp_path: Path) -> None:
+    eye = '<joint name="eye_joint" type="fixed"><parent link="trunk"/><child link="eye"/></joint></robot>'
+    found = adopt(edited(tmp_path, SMALL, ("</robot>", eye)), tmp_path / "out")
+    assert any("'eye_joint' names 'eye', and there is no such link: left out" in repair for repair in found.repairs)
+    with pytest.raises(ModelError, match=r"; line \d+: <joint> 'r_[a-z_]*' names 'r_thigh', and there is no such link"):
+        adopt(edited(tmp_path, SMALL, (r'<link name="r_thigh">.*?</link>', "")), tmp_path / "other")
+
+
 def test_a_trunk_that_cannot_lean_as_far_as_a_walk_needs_is_an_error(tmp_path: Path) -> None:
     narrow = r'(name="._hip_roll".*?lower=)"[^"]*" upper="[^"]*"', r'\1"-0.02" upper="0.02"'
     with pytest.raises(ModelError, match=r"lean by \d+ degrees in each step .*; its hips roll by 1 degrees$"):

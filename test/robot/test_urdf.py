@@ -70,7 +70,7 @@ BAD = {
     "its own parent": (robot(A, B, joint("j", "b", "b")), "line 3: <link> 'b' is part of a loop"),
     "two parents": (robot(A, B, J, joint("k")), "line 5: <joint> 'k' is the second joint"),
     "no such parent": (robot(A, B, joint(parent="x")), "names the parent 'x'"),
-    "no such child": (robot(A, joint()), "names the child 'b'"),
+    "no such link": (robot(A, B, link("c"), joint(child="x"), joint("k", "x", "c")), "names the child 'x'"),
     "no parent": (robot(A, '<joint name="j" type="fixed"><child link="a"/></joint>'), 'one <parent link="..."/>'),
     "joint type": (robot(A, B, joint(kind="magic")), "line 4: <joint> 'j' has the type 'magic'"),
     "nan limit": (robot(A, B, joint(more='<limit lower="nan" upper="1"/>')), "line 4: <limit> has lower = 'nan'"),
@@ -103,6 +103,14 @@ def test_invalid_descriptions_are_rejected_with_element_and_line(name: str) -> N
 
 
 REPAIRED = {
+    "no such child": (
+        robot(A, B, J, joint("k", "b", "eye")),
+        "line 5: <joint> 'k' names 'eye', and there is no such link: left out",
+    ),
+    "no such parent": (
+        robot(A, B, link("c"), J, joint("k", "wrist", "c")),
+        "line 6: <joint> 'k' names 'wrist', and there is no such link: left out, with 1 of 3 links that it carries",
+    ),
     "no name of the robot": ("<robot><link name='a'/></robot>", ""),
     "declared late": ("\n<!-- a -->\n<?xml version='1.0'?>\n" + robot(A), ""),
     "many links": (robot(A, *(link(f"l{i}") + joint(f"j{i}", "a", f"l{i}", "fixed") for i in range(500))), ""),
