@@ -305,7 +305,8 @@ def _flattened(tree: Mapping[Any, Any], prefix: str, source: str) -> dict[str, A
     out: dict[str, Any] = {}
     for key, value in tree.items():
         if not isinstance(key, str):
-            raise ConfigError(f"{source}: the key {prefix}{key!r} is not a text")
+            comma = "; is a number before it written with a comma instead of a point?" if type(key) is int else ""
+            raise ConfigError(f"{source}: the key {prefix}{key!r} is not a text{comma}")
         found = _flattened(value, f"{prefix}{key}.", source) if isinstance(value, dict) else {prefix + key: value}
         if duplicates := [name for name in found if name in out]:  # gait.cycles and gait: {cycles: }
             raise ConfigError(f"{source}: '{duplicates[0]}' is given twice")

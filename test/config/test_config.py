@@ -83,6 +83,7 @@ VALUES = [
     ("robot: {drop: [1]}", r"'robot.drop' must be a list of texts"),
     ("qp: {solver: magic}", r"'qp.solver' must be one of"),
     ("3: 4", r"the key 3 is not a text"),
+    ("gait: {step_length: 0,04}", r"the key gait.4 is not a text; is a number before it written with a comma"),
     ("servo: {torque_scale: 0.0}", r"'servo.torque_scale' must be a number in \[0.001, 100\]"),  # MuJoCo refuses it
     ("dt: 0.005\ndt: 0.01", "line 4: .*'dt' was given in line 3"),
     ("gait: {cycles: 1}\ngait: {cycles: 2}", "line 4: .*'gait' was given in line 3"),
