@@ -98,9 +98,12 @@ def adopt(
     from dqwalk_ros.adopt.description import description_in
     from dqwalk_ros.adopt.picture import draw
     from dqwalk_ros.cli.progress import Progress
+    from dqwalk_ros.plants.table import plant_type
 
     if view:
         import dqwalk_ros.report.viewer.page  # noqa: F401 - if viser is missing, say so before the work
+    if not no_walk:
+        plant_type("physics")  # if the engine is missing, say so before the work
     if bool(left) != bool(right):
         raise ConfigError("--left and --right must be given together")
     if out.exists() and not out.is_dir():

@@ -32,6 +32,7 @@ from dqwalk_ros.config import OF_RCLPY, Config
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import parameters, wheels
 from dqwalk_ros.support.errors import ConfigError, DqwalkError
+from dqwalk_ros.support.imports import not_imported
 from dqwalk_ros.support.interrupts import end_with
 from dqwalk_ros.support.own_folder import lock
 from dqwalk_ros.support.topics import BODY_TOPICS, OTHERS, PHASE_LOG, TOPICS
@@ -367,6 +368,11 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
         code = 0
     except (DqwalkError, NameValidationException) as error:  # the name of a topic may be a parameter
         print(f"{options.argv[0]}: {one_line(str(error))}", file=sys.stderr)
+        code = 2
+    except ImportError as error:  # of a module that only this configuration needs
+        if not (why := not_imported(error)):
+            raise
+        print(f"{options.argv[0]}: {why}", file=sys.stderr)
         code = 2
     finally:
         try:

@@ -507,6 +507,16 @@ def test_an_unusable_opengl_platform_is_named(tmp_path):
     assert "MUJOCO_GL=paper" in done.stderr
 
 
+def test_walks_of_a_new_robot_need_the_engine_before_the_work(monkeypatch, capsys, tmp_path):
+    """The trials called it a fall, and looked for cures."""
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    monkeypatch.delitem(sys.modules, "dqwalk_ros.plants.mujoco", raising=False)
+    urdf = Path(__file__).parents[1] / "data/biped12.urdf"
+    assert cli.main(["adopt", str(urdf), "--out", str(tmp_path / "out"), "--yes", "--quiet"]) == 1
+    assert capsys.readouterr().err == "dqwalk: the physics engine is not installed: pip install mujoco\n"
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_closed_pipe_is_no_error():
     words = f"{sys.executable} -m dqwalk_ros.cli config | head -1"
     done = subprocess.run(words, shell=True, capture_output=True, text=True, check=False, env=HERE)

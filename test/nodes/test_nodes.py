@@ -314,6 +314,17 @@ def test_a_signal_ends_a_node_without_a_traceback(nodes: Any, name: str, number:
     assert "Traceback" not in one.processes.log(name)
 
 
+def test_a_module_that_only_this_node_needs_is_named(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Such as the SDK of the servos, where only the package and ROS are installed."""
+    monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "103")
+    assert command_line.main("poppy_driver", ["--ros-args", "-p", "poppy.dummy:=true", "-p", "dt:=0.02"]) == 2
+    said = capfd.readouterr().err.splitlines()[-1]
+    assert said.endswith("poppy_driver: the Python module 'dynamixel_sdk' is not installed: pip install dynamixel-sdk")
+
+
 def test_an_interrupt_during_the_start_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """A compiled module that is being imported may swallow a KeyboardInterrupt, and the node would start."""
     handlers: list[Any] = []

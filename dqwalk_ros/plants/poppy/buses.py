@@ -193,7 +193,7 @@ def open_buses(
     Raises
     ------
     PlantError
-        If dynamixel_sdk is missing, or a port cannot be opened.
+        If a port cannot be opened.
     """
     buses: dict[str, DynamixelBus] = {}
     named = {"lower": config.lower_port, "upper": config.upper_port}

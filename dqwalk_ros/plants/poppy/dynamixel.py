@@ -119,18 +119,13 @@ def open_port(name: str) -> Any:
 
     Raises
     ------
-    PlantError
-        If dynamixel_sdk is missing.
+    ModuleNotFoundError
+        If dynamixel_sdk or pyserial is missing.
     OSError
         If there is no such port, or another program uses it.
     """
-    try:
-        import serial
-        from dynamixel_sdk import PortHandler
-    except ImportError as error:
-        raise PlantError(
-            f"the Poppy driver needs dynamixel_sdk: pip install dynamixel-sdk (missing: {error.name})"
-        ) from error
+    import serial
+    from dynamixel_sdk import PortHandler
 
     class Port(PortHandler):  # type: ignore[misc]
         """Port of the SDK with blocking reads, a monotonic clock, and a timeout even if bytes arrive continuously."""

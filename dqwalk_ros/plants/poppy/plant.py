@@ -77,7 +77,7 @@ class PoppyPlant(Plant):
     Raises
     ------
     PlantError
-        If dynamixel_sdk is missing, or motors do not answer or are not those of the table.
+        If motors do not answer or are not those of the table.
     ConfigError
         If the model has a joint without a motor, or the table of motors or the calibration is invalid.
     """
