@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqwalk_ros.adopt.arms import find_hands, find_imu
-from dqwalk_ros.adopt.doubts import check_density, check_sizes
+from dqwalk_ros.adopt.doubts import check_density, check_one, check_sizes
 from dqwalk_ros.adopt.lean import Lean, waist_moves
 from dqwalk_ros.adopt.legs import Leg, bent, freedom, leg_of
 from dqwalk_ros.adopt.pair import NoLegsError, branches, find_pair, mirrored
@@ -119,6 +119,7 @@ def find_anatomy(
         more += f"; {fixed} joints have no range, their lower and upper limits are equal" if fixed else ""
         more += "".join(f"; {repair}" for repair in urdf.repairs if "all taken as fixed" in repair)
         raise ModelError(f"the robot is not a biped: it has only {len(plain.joints)} revolute joints{more}")
+    check_one(urdf)
     check_sizes(plain, shapes)
     try:
         return _anatomy(*find_pair(plain, (left, right)), forward, bool(left))

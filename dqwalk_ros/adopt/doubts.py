@@ -68,6 +68,10 @@ def repair_degrees(urdf: Urdf) -> None:
     )
 
 
+_OF_ALL, _LIMB = 0.2, 4
+"""Least part of the mass and number of joints of a limb that belong to another robot."""
+
+
 def check_sizes(skeleton: Skeleton, shapes: Shapes) -> None:
     """Raise ModelError if the meshes have another unit of length than the joints."""
     places = np.array([skeleton.place(joint) for joint in skeleton.joints])
@@ -91,6 +95,29 @@ def check_sizes(skeleton: Skeleton, shapes: Shapes) -> None:
             f"{what}, and no other is larger, but the joints of the robot span {span:.4g} m: are the positions of the "
             "joints in millimetres?"
         )
+
+
+def check_one(urdf: Urdf) -> None:
+    """Raise ModelError if two robots or more hang on a root link without mass: heavy parts that fork into limbs."""
+    if urdf.links[urdf.root].inertial.mass:
+        return
+    total = sum(link.inertial.mass for link in urdf.links.values())
+    robots = []
+    for joint in urdf.child_joints(urdf.root):
+        part = urdf.after(joint.child)
+        limbs = [sum(_limb(urdf, below.child) for below in urdf.child_joints(link)) for link in part]
+        if sum(urdf.links[link].inertial.mass for link in part) > _OF_ALL * total and max(limbs) > 1:
+            robots.append(joint.child)
+    if len(robots) > 1:
+        raise ModelError(
+            f"'{urdf.root}' carries {len(robots)} robots, which begin with {', '.join(map(repr, robots))}: leave the "
+            "joints to all but one of them out"
+        )
+
+
+def _limb(urdf: Urdf, link: str) -> bool:
+    """Return whether a link and what follows it have the joints of a leg."""
+    return sum(moves(joint) for part in urdf.after(link) for joint in urdf.child_joints(part)) + 1 >= _LIMB
 
 
 def check_density(urdf: Urdf, leg: float) -> None:

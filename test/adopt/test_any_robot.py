@@ -347,6 +347,21 @@ def test_a_head_that_is_not_there_is_left_out_and_a_leg_is_missed_by_name(tmp_pa
         adopt(edited(tmp_path, SMALL, (r'<link name="r_thigh">.*?</link>', "")), tmp_path / "other")
 
 
+def test_two_robots_on_one_root_are_named(tmp_path: Path) -> None:
+    """Both have a waist, so they look like one robot with four legs, or with two that are far apart."""
+    inside = re.sub(r"^.*?<robot[^>]*>|</robot>", "", SMALL.read_text(), flags=re.S)
+    parts = ['<robot name="two"><link name="world"/>']
+    for who, y in (("a", 0.0), ("b", 1.0)):
+        parts.append(re.sub(r'(<link name|<joint name|parent link|child link)="', rf'\1="{who}_', inside))
+        parts.append(
+            f'<joint name="{who}_base" type="fixed"><parent link="world"/>'
+            f'<child link="{who}_trunk"/><origin xyz="0 {y} 0"/></joint>'
+        )
+    text = "".join(parts) + "</robot>"
+    with pytest.raises(ModelError, match="'world_link' carries 2 robots, which begin with 'a_trunk', 'b_trunk'"):
+        anatomy_of(Urdf(text, "two.urdf"))
+
+
 def test_a_trunk_that_cannot_lean_as_far_as_a_walk_needs_is_an_error(tmp_path: Path) -> None:
     narrow = r'(name="._hip_roll".*?lower=)"[^"]*" upper="[^"]*"', r'\1"-0.02" upper="0.02"'
     with pytest.raises(ModelError, match=r"lean by \d+ degrees in each step .*; its hips roll by 1 degrees$"):
