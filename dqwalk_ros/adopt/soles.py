@@ -26,8 +26,8 @@ _UNLIKE, _TILTED = 1.5, math.radians(10.0)
 """Largest ratio of the sizes of two soles, and largest angle between them, that belong to one robot."""
 _OVERLAP = 1.5
 """Largest width of soles in the zero posture, as a multiple of their lateral distance; narrower ones are set apart."""
-_LEAST_SOLE = 0.045
-"""Least length and width of a sole, as a fraction of the distance of hip and ankle."""
+_LEAST_SIDES = 0.03, 0.1
+"""Least sides of a sole, the shorter and the longer one, as fractions of the distance of hip and ankle."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,8 @@ def find_soles(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]], leg: float
             "of the shapes of the feet right?"
         )
     for foot, sole in found.items():
-        if min(sole.length, sole.width) < _LEAST_SOLE * leg:
+        sides = sorted((sole.length, sole.width))
+        if any(side < least * leg for side, least in zip(sides, _LEAST_SIDES, strict=True)):
             raise ModelError(
                 f"this biped stands on points or edges: its {foot.value} sole is {1e3 * sole.length:.0f} x "
                 f"{1e3 * sole.width:.0f} mm, but the walk requires flat soles"

@@ -362,6 +362,14 @@ def test_two_robots_on_one_root_are_named(tmp_path: Path) -> None:
         anatomy_of(Urdf(text, "two.urdf"))
 
 
+def test_a_long_sole_may_be_narrow_but_not_one_like_a_point(tmp_path: Path) -> None:
+    """As Unitree's H1, whose soles are 300 x 30 mm, and which does the dynamic walk."""
+    box = '<box size="0.1265 0.0825 0.0132"/>'
+    assert anatomy_of(read(tmp_path, (box, '<box size="0.1265 0.01 0.0132"/>'))).soles[Foot.LEFT].width < 0.011
+    with pytest.raises(ModelError, match="points or edges: its left sole is 20 x 10 mm"):
+        anatomy_of(read(tmp_path, (box, '<box size="0.02 0.01 0.0132"/>')))
+
+
 def test_a_trunk_that_cannot_lean_as_far_as_a_walk_needs_is_an_error(tmp_path: Path) -> None:
     narrow = r'(name="._hip_roll".*?lower=)"[^"]*" upper="[^"]*"', r'\1"-0.02" upper="0.02"'
     with pytest.raises(ModelError, match=r"lean by \d+ degrees in each step .*; its hips roll by 1 degrees$"):
