@@ -366,11 +366,8 @@ def main(kind: Callable[[argparse.Namespace], WalkNode], options: argparse.Names
         made.refuse_a_second()
         wheels.spin(made, lambda: (signals or made.done.done()) and made.is_drained(), pause=made.pause)
         code = 0
-    except (DqwalkError, NameValidationException) as error:  # the name of a topic may be a parameter
-        print(f"{options.argv[0]}: {one_line(str(error))}", file=sys.stderr)
-        code = 2
-    except ImportError as error:  # of a module that only this configuration needs
-        if not (why := not_imported(error)):
+    except (DqwalkError, NameValidationException, ImportError) as error:  # topic and plant may be parameters
+        if not (why := not_imported(error) if isinstance(error, ImportError) else one_line(str(error))):
             raise
         print(f"{options.argv[0]}: {why}", file=sys.stderr)
         code = 2

@@ -32,9 +32,6 @@ from dqwalk_ros.support.wording import listed
 _LEASE = 0.5
 """Time without a sign of life after which a publisher of `watched` is taken for killed or stopped [s]."""
 
-_OTHER_TYPES = {"cmd_vel": "; see node.stamped_cmd_vel"}
-"""What to do about a topic of another type."""
-
 
 def best_effort(depth: int) -> QoSProfile:
     """Return the quality of service of a subscription for which the newest message matters, and a lost one does not."""
@@ -72,7 +69,7 @@ def of_another_type(node: Node, topic: str, kind: Any) -> str:
     others = {f"{end.node_name} with {end.topic_type}" for end in ends if end.topic_type != own}
     if not others:
         return ""
-    advice = next((advice for name, advice in _OTHER_TYPES.items() if topic.endswith(f"/{name}")), "")
+    advice = "; see node.stamped_cmd_vel" if topic.endswith("/cmd_vel") else ""
     return f"{listed(others)} uses {topic}, which is a {own} here{advice}"
 
 

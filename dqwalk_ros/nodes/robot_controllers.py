@@ -123,9 +123,8 @@ class RobotControllers:
         ]
         for status in msg.status if len(managers) == 1 else ():
             if status.name == f"{_MANAGER[1:]}: Controllers Activity":
-                suffix = ".state"
-                found = (value for value in status.values if value.key.endswith(suffix))
-                self._states = {value.key.removesuffix(suffix): value.value for value in found}
+                found = (value for value in status.values if value.key.endswith(".state"))
+                self._states = {value.key.removesuffix(".state"): value.value for value in found}
 
     def _ask(self, one: _Controller) -> None:
         if one.name.endswith(UNKNOWN):  # its node has not been discovered yet
