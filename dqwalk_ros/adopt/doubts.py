@@ -110,8 +110,8 @@ def check_one(urdf: Urdf) -> None:
             robots.append(joint.child)
     if len(robots) > 1:
         raise ModelError(
-            f"'{urdf.root}' carries {len(robots)} robots, which begin with {', '.join(map(repr, robots))}: leave the "
-            "joints to all but one of them out"
+            f"'{urdf.root}' carries {len(robots)} robots, which begin with {', '.join(map(repr, robots))}: remove "
+            "the joints to all but one of them"
         )
 
 
