@@ -49,7 +49,7 @@ SLOWEST = (
     "paper/test_paper_walk.py",
     "plants/test_poppy_faults.py",
     "interop/test_interoperability.py",
-    "adopt/test_any_robot.py",
+    "adopt/test_stance.py",
     "nodes/test_poppy_driver.py",
     "cli/test_cli.py",
     "faults/test_restart.py",
