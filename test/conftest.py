@@ -45,6 +45,8 @@ HERE = Path(__file__).parent
 SLOWEST = (
     "studies/test_studies.py",
     "nodes/test_nodes.py",
+    "walks/dynamic/test_obstacles.py",
+    "walks/dynamic/test_pushes.py",
     "walks/test_dynamic.py",
     "paper/test_paper_walk.py",
     "plants/test_poppy_faults.py",
@@ -64,7 +66,8 @@ SLOWEST = (
     "report/test_html.py",
     "walks/test_standing.py",
     "nodes/test_plant.py",
-    "nodes/test_drive.py",
+    "nodes/test_robot_controllers.py",
+    "nodes/test_drive_walks.py",
     "whole_body/test_controller.py",
     "cli/test_results.py",
 )

@@ -33,7 +33,7 @@ TARGETS = {
     "dqwalk_ros/nodes/inertial_sensor.py": ("nodes/test_inertial_sensor.py",),
     "dqwalk_ros/nodes/fall_watch.py": ("nodes/test_fall_watch.py", "faults/test_liars.py"),
     "dqwalk_ros/nodes/answering.py": ("nodes/test_answering.py",),
-    "dqwalk_ros/nodes/drive.py": ("nodes/test_drive.py", "faults/test_drive_battery.py"),
+    "dqwalk_ros/nodes/drive.py": ("nodes/test_drive.py", "nodes/test_drive_stops.py", "faults/test_drive_battery.py"),
     "dqwalk_ros/nodes/pilot.py": ("nodes/test_pilot.py",),
     "dqwalk_ros/nodes/recorder.py": (
         "faults/test_attacks.py",
