@@ -26,7 +26,8 @@ from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array, Mask
-from dqwalk_ros.support.compiled import BOOLEAN, BOOLEANS, FLOAT, VECTOR, Record, jit
+from dqwalk_ros.support.by_address import BOOLEAN, BOOLEANS, FLOAT, VECTOR, Record
+from dqwalk_ros.support.compiled import jit
 
 _SMOOTH = 0.01
 """Time constant of the filter of the forces, and of that of the joint accelerations [s]."""

@@ -24,7 +24,8 @@ from dqwalk_ros.paper.qp.problem import Problem, Shape, objective, parts
 from dqwalk_ros.paper.rows import Rows, slices
 from dqwalk_ros.paper.tasks import Task, converge
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import INTEGERS, MATRIX, TABLE, VECTOR, Record, jit
+from dqwalk_ros.support.by_address import INTEGERS, MATRIX, TABLE, VECTOR, Record
+from dqwalk_ros.support.compiled import jit
 
 DEPENDENT = 5e-3
 """Ratio to the largest singular value below which a singular value of equality rows counts as zero."""

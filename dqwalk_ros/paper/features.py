@@ -31,7 +31,7 @@ from dqwalk_ros.paper.kinematics import (
     rotate,
 )
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import (
+from dqwalk_ros.support.by_address import (
     FLOAT,
     INTEGER,
     INTEGERS,
@@ -42,8 +42,8 @@ from dqwalk_ros.support.compiled import (
     VECTOR,
     Record,
     Signature,
-    jit,
 )
+from dqwalk_ros.support.compiled import jit
 
 _ORIGIN = np.zeros(3)
 

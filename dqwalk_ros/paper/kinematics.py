@@ -25,7 +25,8 @@ from dqwalk_ros.paper.dual_quaternions import DQ, product
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Z
 from dqwalk_ros.support.arrays import Array, Mask
-from dqwalk_ros.support.compiled import BOOLEANS, INTEGER, VECTOR, Record, jit
+from dqwalk_ros.support.by_address import BOOLEANS, INTEGER, VECTOR, Record
+from dqwalk_ros.support.compiled import jit
 
 if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel

@@ -10,7 +10,8 @@ import numpy as np
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics, compose, direction, point, support_tree
 from dqwalk_ros.support.arrays import Array, Mask
-from dqwalk_ros.support.compiled import BOOLEAN, BOOLEANS, FLOAT, INTEGER, VECTOR, Record, jit
+from dqwalk_ros.support.by_address import BOOLEAN, BOOLEANS, FLOAT, INTEGER, VECTOR, Record
+from dqwalk_ros.support.compiled import jit
 
 if TYPE_CHECKING:
     from dqwalk_ros.robot.model import RobotModel

@@ -14,7 +14,8 @@ import numpy as np
 from dqwalk_ros.paper.kinematics import PLACE, Place
 from dqwalk_ros.paper.statics import SOLES, Soles
 from dqwalk_ros.support.arrays import Array, Mask
-from dqwalk_ros.support.compiled import BOOLEANS, FLOAT, MATRIX, VECTOR, Record, jit
+from dqwalk_ros.support.by_address import BOOLEANS, FLOAT, MATRIX, VECTOR, Record
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.com import projected
 from dqwalk_ros.walks.dynamic.force import converging, fed_back, feedforward, ground_force
 from dqwalk_ros.walks.dynamic.ground import include, tipped

@@ -19,7 +19,8 @@ from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import Body
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import FLOAT, MATRIX, VECTOR, Record, jit
+from dqwalk_ros.support.by_address import FLOAT, MATRIX, VECTOR, Record
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.footprint import Footprint
 
 _SMOOTH = 0.02

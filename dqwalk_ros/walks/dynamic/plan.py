@@ -17,7 +17,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import FLOAT, MATRIX, NOTHING, VECTOR, Signature, jit
+from dqwalk_ros.support.by_address import FLOAT, MATRIX, NOTHING, VECTOR, Signature
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.following import minimum_jerk
 
 REFERENCE = Signature(NOTHING, VECTOR, FLOAT, MATRIX)

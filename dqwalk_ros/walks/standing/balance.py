@@ -20,7 +20,8 @@ from dqwalk_ros.paper.phase import Phase
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY, SOLES, Soles, gravity_torques, ground_torques
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.compiled import FLOAT, INTEGERS, MATRIX, VECTOR, Record, jit
+from dqwalk_ros.support.by_address import FLOAT, INTEGERS, MATRIX, VECTOR, Record
+from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.com import moving_com, rates
 from dqwalk_ros.walks.following import ComPath, com_path
 

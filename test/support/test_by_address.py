@@ -6,7 +6,8 @@ import numba
 import numpy as np
 import pytest
 
-from dqwalk_ros.support.compiled import BOOLEAN, FLOAT, INTEGER, INTEGERS, MASK, MATRIX, VECTOR, Record, jit
+from dqwalk_ros.support.by_address import BOOLEAN, FLOAT, INTEGER, INTEGERS, MASK, MATRIX, VECTOR, Record
+from dqwalk_ros.support.compiled import jit
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="then a record is its own table")
 
