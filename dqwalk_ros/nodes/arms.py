@@ -17,7 +17,7 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.support.errors import StateError
-from dqwalk_ros.walks.arms import Arms
+from dqwalk_ros.walks.arms.arms import Arms
 from dqwalk_ros.walks.stepping import SteppingWalk
 
 _TRAJECTORY = "arm_trajectory"

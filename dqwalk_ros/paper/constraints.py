@@ -26,6 +26,7 @@ from dqwalk_ros.paper.features import (
     Direction,
     Feature,
     JointAngles,
+    Live,
     Point,
     Quantity,
     Rotation,
@@ -342,7 +343,7 @@ def held(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameHeld(Constraint):
+class FrameHeld(Live, Constraint):
     """Pose error of a frame, six rows: p - p_d [m] and 2 Im(r r_d*), for small errors the rotation vector [rad].
 
     As an equality it holds the frame at the pose.
@@ -366,11 +367,6 @@ class FrameHeld(Constraint):
     def parameters(self) -> Array:
         """Position and orientation, shape (7,)."""
         return np.array([*DQ(self.pose).translation(), *self.pose[:4]])
-
-    @property
-    def live(self) -> Array:
-        """All parameters, which `hold` changes."""
-        return self.parameters
 
     def row_names(self, joint_names: tuple[str, ...]) -> tuple[str, ...]:
         """One name per axis, translation first."""

@@ -311,6 +311,15 @@ class Quantity(ABC):
         return type(self).function(np.array(s, dtype=np.float64), np.array(self.parameters, dtype=np.float64), elapsed)
 
 
+class Live(Quantity):
+    """A quantity all of whose parameters the walk may change with every state."""
+
+    @property
+    def live(self) -> Array:
+        """All parameters."""
+        return self.parameters
+
+
 @jit
 def affine(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
     """Return A s - b (k,), A (k, m), and -b'; `a` consists of b (k,), b' (k,) and A."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from dqwalk_ros.paper.constraints import pose_error
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.features import Affine, CenterOfMassOnGround, Feature, JointAngles, Point, Rotation
+from dqwalk_ros.paper.features import Affine, CenterOfMassOnGround, Feature, JointAngles, Live, Point, Rotation
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
@@ -207,7 +207,7 @@ class Follow(Affine, Task):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AtRest(Affine, Task):
+class AtRest(Live, Affine, Task):
     """Task that keeps joints at rest where they are, while it is on; at first it is off."""
 
     selects: Array
@@ -222,11 +222,6 @@ class AtRest(Affine, Task):
     def A(self) -> Array:
         """The selected joints, shape (k, n)."""
         return self.selects
-
-    @property
-    def live(self) -> Array:
-        """All parameters."""
-        return self.parameters
 
     def switch(self, on: bool) -> None:
         """Switch the task on, or off: then its rows are zero."""

@@ -26,7 +26,7 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError, StateError
-from dqwalk_ros.walks.arms import Arms
+from dqwalk_ros.walks.arms.arms import Arms
 from dqwalk_ros.walks.footprint import flat
 from dqwalk_ros.walks.footsteps import Carried, Footsteps, parsed, stair_height
 

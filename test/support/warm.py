@@ -24,7 +24,7 @@ from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.support.compiled import digest
 from dqwalk_ros.support.interrupts import serve
-from dqwalk_ros.walks.arms import HandInTrunk
+from dqwalk_ros.walks.arms.tasks import HandInTrunk
 from dqwalk_ros.walks.table import make_controller
 
 

@@ -21,7 +21,8 @@ from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.plants.kinematic import KinematicPlant
 from dqwalk_ros.robot.model import load_model, parse_model
 from dqwalk_ros.support.errors import ConfigError, ModelError, StateError
-from dqwalk_ros.walks.arms import Arms, JointPath
+from dqwalk_ros.walks.arms.arms import Arms
+from dqwalk_ros.walks.arms.paths import JointPath
 from dqwalk_ros.walks.table import make_controller, make_walk
 
 QUICK = {"standing.transfer_duration": 0.4, "standing.swing_duration": 0.4, "node.robot_description": False}
