@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,6 +78,21 @@ class BaseEstimate:
         to_robot = R.T @ np.hstack([_cross(self.velocity), np.eye(3)])
         out: Array = to_robot @ self.covariance[:6, :6] @ to_robot.T
         return out
+
+
+class _Filter(NamedTuple):
+    """State X of the filter, and what is known of its error; `_predict` and `_contact` change the arrays in place."""
+
+    R: Array
+    v: Array
+    p: Array
+    """Orientation (3, 3), velocity (3,) and position (3,) of the inertial sensor in the world [m/s, m]."""
+    d: Array
+    """Contact points in the world, shape (4, 3) [m]."""
+    bias: Array
+    """Biases of gyroscope and accelerometer, shape (6,) [rad/s, m/s^2]."""
+    P: Array
+    """Covariance of xi, shape (27, 27)."""
 
 
 class BaseEstimator:
@@ -152,52 +168,38 @@ class BaseEstimator:
                 )
             )
             mean = 0.5 * (gyro + self._last_inertial[0]), 0.5 * (acceleration + self._last_inertial[1])
-            _predict(time - self._time, *mean, self._R, self._v, self._p, self._d, self._bias, self._P, noise)
-        lost = _contact(
-            h,
-            stands,
-            self._stood,
-            self._ground,
-            self._R,
-            self._v,
-            self._p,
-            self._d,
-            self._bias,
-            self._P,
-            c.kinematics**2,
-            c.floor**2,
-            self._slip,
-        )
+            _predict(time - self._time, *mean, noise, self._filter)
+        X = self._filter
+        lost = _contact(h, stands, self._stood, self._ground, c.kinematics**2, c.floor**2, self._slip, X)
         held = stands & self._stood
         self._slipping = self._slipping + 1 if held.any() and lost[held].all() else 0
         self._time, self._last_inertial, self._stood = time, (gyro, acceleration), stands
-        pelvis = DQ.from_matrix(self._R, self._p) * x_imu.conj() * DQ(kin.pose(self._model.pelvis))
+        pelvis = DQ.from_matrix(X.R, X.p) * x_imu.conj() * DQ(kin.pose(self._model.pelvis))
         p = pelvis.translation()
-        omega = self._R @ (gyro - self._bias[:3])
+        omega = X.R @ (gyro - X.bias[:3])
         contacts = frozenset(foot for foot, s, slipped in zip(foot_of, stands, lost, strict=True) if s and not slipped)
-        velocity = self._v + _cross(omega) @ (p - self._p)
+        velocity = X.v + _cross(omega) @ (p - X.p)
         return BaseEstimate(pelvis.vec8(), velocity, omega, self._covariance(p, velocity), contacts)
 
     def _begin(self, R: Array, p: Array, h: Array) -> None:
         """Initialize state and covariance by the sensor's pose and the contact points `h` (4, 3) in its frame."""
         c = self._config
-        self._R, self._v, self._p, self._bias = np.ascontiguousarray(R), np.zeros(3), p.copy(), np.zeros(6)
-        self._d = np.ascontiguousarray(p + h @ R.T)
         tilt = c.floor / 0.07  # inclination of a sole by the unevenness of the floor
         first = np.array([tilt, tilt, 1e-4, *[0.01] * 3, *[c.kinematics] * 3])
         P = np.zeros((_SIZE, _SIZE))
         P[:9, :9] = np.diag(first**2)
         P[_GYRO, _GYRO] = np.eye(3) * c.gyro_bias**2
         P[_ACCELEROMETER, _ACCELEROMETER] = np.eye(3) * c.accelerometer_bias**2
-        self._P = P
+        d = np.ascontiguousarray(p + h @ R.T)
+        self._filter = X = _Filter(np.ascontiguousarray(R), np.zeros(3), p.copy(), d, np.zeros(6), P)
         for k in range(len(_POINTS)):
-            _reset_point(k, h[k], self._R, self._p, self._d, P, c.kinematics**2)
+            _reset_point(k, h[k], c.kinematics**2, X)
 
     def _covariance(self, p: Array, v: Array) -> Array:
         """Return the covariance (9, 9) of the errors of orientation, velocity `v`, position `p`, from that of xi."""
         T = np.eye(9)
         T[_V, _R], T[_P, _R] = -_cross(v), -_cross(p)
-        out: Array = T @ self._P[:9, :9] @ T.T
+        out: Array = T @ self._filter.P[:9, :9] @ T.T
         return out
 
 
@@ -222,11 +224,9 @@ def _exp(a: Array) -> Array:
 
 
 @jit
-def _predict(
-    dt: float, gyro: Array, acceleration: Array, R: Array, v: Array, p: Array, d: Array, bias: Array, P: Array,
-    noise: Array,
-) -> None:  # fmt: skip
+def _predict(dt: float, gyro: Array, acceleration: Array, noise: Array, X: _Filter) -> None:
     """Prediction step over `dt` [s] with the measurements of the inertial sensor; `noise` are variances per second."""
+    R, v, p, d, bias, P = X
     omega = gyro - bias[:3]
     linear = R @ (acceleration - bias[3:]) + _GRAVITY
     A = np.zeros((_SIZE, _SIZE))  # xi' = A xi + noise
@@ -257,10 +257,10 @@ def _predict(
 
 
 @jit
-def _reset_point(k: int, h: Array, R: Array, p: Array, d: Array, P: Array, variance: float) -> None:
+def _reset_point(k: int, h: Array, variance: float, X: _Filter) -> None:
     """Set the contact point k to its present position, `h` (3,) in the sensor's frame, with the error of the base."""
-    i = 9 + 3 * k
-    d[k] = p + R @ h
+    i, P = 9 + 3 * k, X.P
+    X.d[k] = X.p + X.R @ h
     P[i : i + 3, :] = P[_P, :]
     P[:, i : i + 3] = P[:, _P]
     for j in range(3):
@@ -269,14 +269,14 @@ def _reset_point(k: int, h: Array, R: Array, p: Array, d: Array, P: Array, varia
 
 @jit
 def _contact(
-    h: Array, standing: Mask, stood: Mask, ground: Array, R: Array, v: Array, p: Array, d: Array, bias: Array, P: Array,
-    kinematics: float, floor: float, slip: float,
-) -> Mask:  # fmt: skip
+    h: Array, standing: Mask, stood: Mask, ground: Array, kinematics: float, floor: float, slip: float, X: _Filter
+) -> Mask:
     """Correction step with the standing contact points; return which of the four have slipped or lifted, shape (4,).
 
     A point farther than `slip` [m] from its former position has slipped. `ground` (4,) are the heights on which they
     stand [m]: zero, or where a stair is found.
     """
+    R, _, p, d, _, P = X
     H, z, noise = np.zeros((12, _SIZE)), np.zeros(12), np.zeros(12)
     m, lost = 0, np.zeros(4, np.bool_)
     for k in range(4):
@@ -290,7 +290,7 @@ def _contact(
                 H[m, 6 + j], H[m, i + j], z[m], noise[m] = 1.0, -1.0, e[j], kinematics
                 m += 1
         else:
-            _reset_point(k, h[k], R, p, d, P, kinematics)
+            _reset_point(k, h[k], kinematics, X)
             # its height: d_z - ground = (xi_R x d + xi_d)_z + noise
             H[m, 0], H[m, 1], H[m, i + 2], noise[m] = d[k, 1], -d[k, 0], 1.0, floor
             if not stood[k]:
@@ -299,13 +299,14 @@ def _contact(
             z[m] = d[k, 2] - ground[k]
             m += 1
     if m > 0:
-        _correct(np.ascontiguousarray(H[:m]), z[:m], noise[:m], R, v, p, d, bias, P)
+        _correct(np.ascontiguousarray(H[:m]), z[:m], noise[:m], X)
     return lost
 
 
 @jit
-def _correct(H: Array, z: Array, noise: Array, R: Array, v: Array, p: Array, d: Array, bias: Array, P: Array) -> None:
+def _correct(H: Array, z: Array, noise: Array, X: _Filter) -> None:
     """Correct the state by the residuals z = H xi + noise (m,): X = exp(-K z) X; `noise` (m,) are variances."""
+    R, v, p, d, bias, P = X
     S = H @ P @ H.T + np.diag(noise)
     K = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
     xi = -(K @ z)
