@@ -19,7 +19,7 @@ from dqwalk_ros.cli.options import (
     walk_option,
 )
 from dqwalk_ros.support.errors import ConfigError, PlantError
-from dqwalk_ros.support.output import refuse_existing, refuse_inside
+from dqwalk_ros.support.output import make_folder, refuse_existing, refuse_inside
 
 
 @command("""
@@ -70,7 +70,6 @@ def movie(
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.cli.results import create
     from dqwalk_ros.report import bag as bags
 
     try:
@@ -85,7 +84,7 @@ def movie(
     refuse_inside(bag, out)
     if not force:
         refuse_existing([out])
-    create(out.parent)
+    make_folder(out.parent)
     trace = bags.read(bag, namespace=namespace, walk=walk)
     with Progress(quiet=quiet) as bar:
         if out.suffix.lower() == ".png":

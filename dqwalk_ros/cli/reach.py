@@ -22,7 +22,7 @@ from dqwalk_ros.cli.options import (
     set_option,
 )
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.support.output import refuse_existing
+from dqwalk_ros.support.output import make_folder, refuse_existing
 
 if TYPE_CHECKING:
     from dqwalk_ros.config import Config
@@ -97,7 +97,6 @@ def reach(
 
     Times are CPU time of this process; set OPENBLAS_NUM_THREADS=1, because more threads are not faster here.
     """
-    from dqwalk_ros.cli.results import create
     from dqwalk_ros.config import is_whole_body
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.whole_body import PAPER_TIMES, SCENARIOS, WholeBodyController
@@ -124,7 +123,7 @@ def reach(
         if target is not None:
             scenario = replace(scenario, name="your target", targets=((0.0, target),))
         scenarios.append(replace(scenario, pushes=(*scenario.pushes, *extra), duration=duration or scenario.duration))
-    create(out)
+    make_folder(out)
     return _tests(made, output, plant, scenarios)
 
 

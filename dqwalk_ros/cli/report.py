@@ -70,7 +70,7 @@ def report(
     """
     from dqwalk_ros import report as reporting
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.cli.results import create, write_report
+    from dqwalk_ros.cli.results import write_report
     from dqwalk_ros.report import bag as bags
     from dqwalk_ros.report import figures
     from dqwalk_ros.report.bag.messages import diagnostics_of
@@ -107,13 +107,11 @@ def report(
             subjects = [page.Subject(own, series, found, statuses, drawn), *others]
     extra = []
     if subjects:
-        create(output.folder)
         extra.append(sheet)
         with Progress(quiet=quiet) as bar:
             bar.stage(0.0, "writing the page")
             page.write(subjects, sheet, overwrite=output.force)
     if csv:
-        create(output.folder)
         extra.append(_csv(series, output))
     write_report(output, found, reporting.render(found), drawn, as_json=as_json, more=extra)
     return 0 if found["ok"] else 1
@@ -122,7 +120,7 @@ def report(
 def _body(bag: Content, namespace: str | None, output: Report, sheet: Path | None, *, as_json: bool) -> int:
     """Evaluate and draw a whole-body walk, also on one page if its file is given; return the exit code."""
     from dqwalk_ros.cli.progress import Progress
-    from dqwalk_ros.cli.results import create, write_report
+    from dqwalk_ros.cli.results import write_report
     from dqwalk_ros.whole_body import figures as reaching
     from dqwalk_ros.whole_body import page
     from dqwalk_ros.whole_body.bag import read_body
@@ -138,7 +136,6 @@ def _body(bag: Content, namespace: str | None, output: Report, sheet: Path | Non
     found = summary(walked, demands) | {"torques_differ_by": off, "notes": list(log.notes)}
     files = []
     if sheet is not None:
-        create(output.folder)
         files.append(sheet)
         differ = f"Recorded and recomputed torques differ by at most {off:.2g} N m."
         with Progress(quiet=quiet) as bar:

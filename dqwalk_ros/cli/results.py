@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from dqwalk_ros import report as reporting
 from dqwalk_ros.cli.options import Output, Report
 from dqwalk_ros.report.bag.storage import refuse_other
-from dqwalk_ros.support.errors import BagError
-from dqwalk_ros.support.output import refuse_existing, write_text, written
+from dqwalk_ros.support.errors import OutputError
+from dqwalk_ros.support.output import make_folder, refuse_existing, write_text, written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,9 +30,9 @@ def prepare(folder: Path, *others: str, force: bool) -> None:
     Raises
     ------
     BagError
-        As `create`, and if what is called bag is not a bag.
+        If what is called bag is not a bag.
     OutputError
-        If the folder contains earlier results and --force is not given.
+        If the folder contains earlier results and --force is not given, or it cannot be created.
     """
     bag = folder / "bag"
     if not force:
@@ -43,7 +43,7 @@ def prepare(folder: Path, *others: str, force: bool) -> None:
         bag.unlink()
     elif bag.exists():
         shutil.rmtree(bag)
-    create(folder)
+    make_folder(folder)
 
 
 def prepare_study(output: Output, store: str, *results: str) -> None:
@@ -51,31 +51,13 @@ def prepare_study(output: Output, store: str, *results: str) -> None:
 
     Raises
     ------
-    BagError
-        If it is a file.
     OutputError
-        If files called as its results exist, but not its store, and --force is not given.
+        If it is a file, or files called as its results exist, but not its store, and --force is not given.
     """
     if not output.force and not os.path.lexists(output.folder / store):
         refuse_existing(output.folder / name for name in results)
     if output.folder.exists() and not output.folder.is_dir():
-        raise BagError(f"'{output.folder}' is a file, not a folder")
-
-
-def create(folder: Path) -> None:
-    """Create a folder of results unless it exists.
-
-    Raises
-    ------
-    BagError
-        If it cannot be created.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise BagError(f"'{folder}' is a file, not a folder") from None
-    except OSError as error:
-        raise BagError(f"cannot create the folder '{folder}': {error.strerror}") from error
+        raise OutputError(f"'{output.folder}' is a file, not a folder")
 
 
 def write_study(
@@ -127,10 +109,8 @@ def write_report(
 
     Raises
     ------
-    BagError
-        If the folder cannot be created.
     OutputError
-        If a file exists already and --force is not given.
+        If a file exists already and --force is not given, or the folder cannot be created.
     OSError
         If a file cannot be written.
     """
@@ -140,7 +120,6 @@ def write_report(
     text, out = json.dumps(found, indent=2), output.folder
     files = [*more, out / "report.json"]
     try:
-        create(out)
         write_text(out / "report.json", text + "\n", overwrite=output.force)
         if not output.no_figures:
             with Progress(quiet=as_json or output.quiet) as bar:

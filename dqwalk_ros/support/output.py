@@ -13,6 +13,22 @@ from pathlib import Path
 from dqwalk_ros.support.errors import ConfigError, OutputError
 
 
+def make_folder(folder: Path) -> None:
+    """Create a folder of results unless it exists.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be created.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise OutputError(f"'{folder}' is a file, not a folder") from None
+    except OSError as error:
+        raise OutputError(f"cannot create the folder '{folder}': {error.strerror}") from error
+
+
 @contextlib.contextmanager
 def written(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
     """Yield the path at which to write a file or folder, which gets the name `path` when the context ends well.
@@ -28,13 +44,13 @@ def written(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterato
     Raises
     ------
     OutputError
-        If something else exists at `path` and is not to be replaced.
+        If something else exists at `path` and is not to be replaced, or its folder cannot be made.
     OSError
         If nothing can be written there; it names `path` if it names no other file.
     """
     path = Path(path)
+    make_folder(path.parent)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name[:100]}-") as scratch:
             new = Path(scratch) / path.name
             yield new
