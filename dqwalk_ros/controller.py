@@ -266,7 +266,7 @@ class VelocityController:
         kin, state.elapsed = self._kinematics(state, self.phase.base), state.time - self.phase_began
         self.loads = state.loads = self._foot_loads.update(kin, state)
         if (change := self._active.observe(self.phase, kin, state)) is not None:
-            self.phase.apply(change)
+            self.phase.decide(change.decision, change.swing_target)
             self._taking_over = change.walk
         phase, delay = self.phase, self.predictor.drive.delay
         now = phase.evaluate(self.predictor.acting(state.time, state.q), kin.up, state.elapsed + delay, dt, self._limit)

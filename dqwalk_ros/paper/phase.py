@@ -24,7 +24,6 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PhaseError
 
 if TYPE_CHECKING:
-    from dqwalk_ros.paper.walk import Walk
     from dqwalk_ros.robot.model import RobotModel
 
 
@@ -67,21 +66,9 @@ class Next:
     support."""
 
 
-@dataclass(frozen=True)
-class Change:
-    """What a walk changes in a phase that has begun."""
-
-    decision: str
-    """What is changed, and why; it is published and recorded."""
-    swing_target: Array | None = None
-    """The new x_d, shape (8,)."""
-    walk: Walk | None = None
-    """A walk that takes over at the next state, until it has no more phases."""
-
-
 @dataclass(kw_only=True, eq=False)
 class Phase:
-    """One phase of a walk; nothing of it but `swing_target` and `decision` changes, by `apply`."""
+    """One phase of a walk; nothing of it but `swing_target` and `decision` changes, by `decide`."""
 
     model: RobotModel
     kind: PhaseKind
@@ -119,11 +106,11 @@ class Phase:
         """Kind and support foot, such as ``double_support/left``."""
         return f"{self.kind.value}/{self.support.value}"
 
-    def apply(self, change: Change) -> None:
-        """Take over the decision of `change`, and its swing target if it has one."""
-        self.decision = change.decision
-        if change.swing_target is not None:
-            self.swing_target = change.swing_target
+    def decide(self, decision: str, swing_target: Array | None) -> None:
+        """Note what was changed during the phase and why, and the new swing target (8,) if there is one."""
+        self.decision = decision
+        if swing_target is not None:
+            self.swing_target = swing_target
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:

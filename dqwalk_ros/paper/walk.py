@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,7 @@ from dqwalk_ros.paper.features import CenterOfMass, Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Cylinder, Line, Plane, X, Y, Z, wall_side
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import Change, EndRule, Next, Phase, PhaseKind, Rule
+from dqwalk_ros.paper.phase import EndRule, Next, Phase, PhaseKind, Rule
 from dqwalk_ros.paper.qp.problem import Problem, Solution
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import gravity_torques
@@ -48,6 +49,18 @@ _LOOKS = {
     "joint_max": Look("upper joint limits (U12)"),
     "joint_min": Look("lower joint limits (U13)"),
 }
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a walk changes in a phase that has begun."""
+
+    decision: str
+    """What is changed, and why; it is published and recorded."""
+    swing_target: Array | None = None
+    """The new x_d, shape (8,)."""
+    walk: Walk | None = None
+    """A walk that takes over at the next state, until it has no more phases."""
 
 
 class Walk(ABC):

@@ -16,11 +16,11 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import Plane, Y
 from dqwalk_ros.paper.kinematics import Kinematics, point_at
-from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
+from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.qp.problem import Problem, Solution
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.tasks import Task
-from dqwalk_ros.paper.walk import Walk
+from dqwalk_ros.paper.walk import Change, Walk
 from dqwalk_ros.robot.limits import outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array

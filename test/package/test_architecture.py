@@ -60,12 +60,13 @@ def tree_of(file: Path) -> ast.Module:
 
 
 @cache
-def imports(file: Path) -> list[str]:
-    """Return every module a file imports, also within functions, except for type checking."""
+def imports(file: Path, types: bool = False) -> list[str]:
+    """Return every module a file imports, also within functions; those for type checking only with `types`."""
     found, waiting = [], [tree_of(file)]
     while waiting:
         node = waiting.pop()
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+        checking = isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        if checking and not types:
             continue
         waiting += [
             inner
@@ -114,19 +115,25 @@ def module(file: Path) -> str:
 
 
 @cache
-def needed() -> dict[str, set[str]]:
-    """Return the modules of the package that each one imports, also within functions."""
+def needed(types: bool = False) -> dict[str, set[str]]:
+    """Return the modules of the package that each one imports, as `imports` does; the names of a package are lazy."""
     files = {module(file): file for file in FILES}
     return {
-        name: {found for text in imports(file) for found in (text, text.rpartition(".")[0]) if found in files} - {name}
+        name: {
+            found
+            for text in imports(file, types and file.name != "__init__.py")
+            for found in (text, text.rpartition(".")[0])
+            if found in files
+        }
+        - {name}
         for name, file in files.items()
         if file.name != "__init__.py" or "import_module" not in file.read_text(encoding="utf-8")
     }
 
 
 def test_no_circle_of_imports():
-    """Also inside a folder, and of imports within functions."""
-    todo = dict(needed())
+    """Also inside a folder, of imports within functions, and of those for type checking."""
+    todo = dict(needed(types=True))
     while done := [name for name, others in todo.items() if not others & todo.keys()]:
         for name in done:
             del todo[name]

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.phase import Change, Phase, Timed
+from dqwalk_ros.paper.phase import Phase, Timed
+from dqwalk_ros.paper.walk import Change
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.walks.dynamic.adjust import Step
 from dqwalk_ros.walks.dynamic.swing import Swing

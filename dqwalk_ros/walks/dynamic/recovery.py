@@ -12,8 +12,9 @@ import math
 from dqwalk_ros.config import Config, load
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
+from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.walk import Change
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.errors import ConfigError

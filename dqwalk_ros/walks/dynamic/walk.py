@@ -22,10 +22,10 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, Z
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind, Timed
+from dqwalk_ros.paper.phase import Next, Phase, PhaseKind, Timed
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY, Soles
-from dqwalk_ros.paper.walk import com_target
+from dqwalk_ros.paper.walk import Change, com_target
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array

@@ -18,9 +18,9 @@ from dqwalk_ros.paper.features import Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, Plane, Z
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import Change, Next, Phase, PhaseKind
+from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.state import State
-from dqwalk_ros.paper.walk import pelvis_height
+from dqwalk_ros.paper.walk import Change, pelvis_height
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
