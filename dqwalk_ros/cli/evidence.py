@@ -43,6 +43,7 @@ writes to the folder of --out:
 examples:
   dqwalk evidence ground                                         110 walks on uneven ground in each engine
   dqwalk evidence ground --config adopted/dynamic.yaml           the same for another robot, in proportion to its legs
+  dqwalk evidence obstacles                                      rubble, steps, stairs, obstacles
   dqwalk evidence arms                                           free arms, loads, and random poses of the hands
   dqwalk evidence --sample 2                                     two walks of each row in each engine
   dqwalk evidence --engine physics --jobs 8                      without Drake
