@@ -43,7 +43,9 @@ settings.load_profile("dqwalk")
 HERE = Path(__file__).parent
 
 SLOWEST = (
-    "studies/test_studies.py",
+    "studies/test_runner.py",
+    "studies/test_study_files.py",
+    "studies/test_pushes.py",
     "nodes/test_nodes.py",
     "walks/dynamic/test_obstacles.py",
     "walks/dynamic/test_pushes.py",
