@@ -6,6 +6,7 @@ import contextlib
 import re
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,6 +20,10 @@ from dqwalk_ros.cli.options import (
 from dqwalk_ros.plants.table import PLANTS, entry
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.ros_environment import check_ros_environment
+
+if TYPE_CHECKING:
+    from dqwalk_ros.config import Config
+    from dqwalk_ros.robot.model import RobotModel
 
 _BY_HAND = 300.0
 """Longest time for which joints are moved by hand [s]."""
@@ -66,9 +71,6 @@ def doctor(
     Listens to its topics without moving anything, and prints the result of each check; if a check failed, also what to
     do. docs/hardware.md takes a robot from the box to its first step. Exit code 1 if a check failed.
     """
-    from dqwalk_ros.adopt.check import check, require_usable
-    from dqwalk_ros.plants.robot_output import differences
-    from dqwalk_ros.plants.table import require_accepted
     from dqwalk_ros.robot.model import load_model
 
     made, plant = setup.made(), setup.plant
@@ -77,12 +79,7 @@ def doctor(
     if by_hand and offline:
         raise ConfigError("--by-hand listens to the robot, which --offline does not: leave one of them out")
     model = load_model(made.robot)
-    findings: list[object] = [*check(made, model)]
-    if not findings:
-        require_usable(made, model)
-        require_accepted(plant, made, model)
-    if controllers is not None:
-        findings += differences(made, model, controllers)
+    findings = _findings(made, model, plant, controllers)
     print(f"{model.name}: {model.n} joints, configuration '{setup.config}', plant {plant}")
     for finding in findings:
         print(f"! {'configuration':22s} {finding}")
@@ -91,31 +88,56 @@ def doctor(
     if offline:
         return 1 if findings else 0
     check_ros_environment()
-    from dqwalk_ros.cli.readiness import ByHand, examine
-    from dqwalk_ros.nodes.doctor import listen
-
     if by_hand:
-        print(
-            "move each joint by hand, one after the other (Ctrl-C ends); the model says, seen from the pelvis:",
-            flush=True,
-        )
-        moved = ByHand(model, partial(print, flush=True))
-        with contextlib.suppress(KeyboardInterrupt):
-            listen(_BY_HAND, namespace, moved)
-        if not moved.states:
-            print("! no joint_states: start the driver, or the joint_state_broadcaster")
-        print(f"! not moved: {', '.join(moved.left)}" if moved.left else "every joint was moved")
-        print(
-            "where the robot did otherwise, the sign or the name of the joint is wrong, in its driver or in the model"
-        )
-        return 1 if moved.left else 0
-    print(f"listening for {seconds:g} s; the robot must stand still", flush=True)
-    wrong = len(findings)
-    heard = listen(seconds, namespace)
-    heard.simulated = bool(entry(plant).type)
-    for found in examine(made, model, heard):
-        print(found)
-        wrong += not found.ok
+        return _by_hand(model, namespace)
+    wrong = len(findings) + _failed_checks(made, model, namespace, seconds, simulated=bool(entry(plant).type))
     failed = f"{wrong} check{'s' if wrong > 1 else ''} failed; repair the first one first"
     print(failed if wrong else "ready to walk")
     return 1 if wrong else 0
+
+
+def _findings(config: Config, model: RobotModel, plant: str, controllers: Path | None) -> list[object]:
+    """Return what is wrong with a configuration; an error that only a walk would show is raised."""
+    from dqwalk_ros.adopt.check import check, require_usable
+    from dqwalk_ros.plants.robot_output import differences
+    from dqwalk_ros.plants.table import require_accepted
+
+    findings: list[object] = [*check(config, model)]
+    if not findings:
+        require_usable(config, model)
+        require_accepted(plant, config, model)
+    return findings if controllers is None else [*findings, *differences(config, model, controllers)]
+
+
+def _by_hand(model: RobotModel, namespace: str) -> int:
+    """Name each joint that is moved by hand; return the exit code."""
+    from dqwalk_ros.cli.readiness import ByHand
+    from dqwalk_ros.nodes.doctor import listen
+
+    print(
+        "move each joint by hand, one after the other (Ctrl-C ends); the model says, seen from the pelvis:",
+        flush=True,
+    )
+    moved = ByHand(model, partial(print, flush=True))
+    with contextlib.suppress(KeyboardInterrupt):
+        listen(_BY_HAND, namespace, moved)
+    if not moved.states:
+        print("! no joint_states: start the driver, or the joint_state_broadcaster")
+    print(f"! not moved: {', '.join(moved.left)}" if moved.left else "every joint was moved")
+    print("where the robot did otherwise, the sign or the name of the joint is wrong, in its driver or in the model")
+    return 1 if moved.left else 0
+
+
+def _failed_checks(config: Config, model: RobotModel, namespace: str, seconds: float, *, simulated: bool) -> int:
+    """Listen to the robot, and print the result of each check; return how many failed."""
+    from dqwalk_ros.cli.readiness import examine
+    from dqwalk_ros.nodes.doctor import listen
+
+    print(f"listening for {seconds:g} s; the robot must stand still", flush=True)
+    heard = listen(seconds, namespace)
+    heard.simulated = simulated
+    wrong = 0
+    for found in examine(config, model, heard):
+        print(found)
+        wrong += not found.ok
+    return wrong

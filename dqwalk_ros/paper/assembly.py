@@ -246,55 +246,50 @@ class Assembly:
         self._given = kin, tasks, equalities, inequalities, limits, eta, damping
         self.rows = Rows.of(kin, equalities, inequalities, limits)
         self._always = not np.isfinite(self.rows.near).any()
-        n, tree, every = len(kin.q), kin.tree, (*equalities, *inequalities, *limits)
-        counts = [len(constraint.row_names(kin.model.joint_names)) for constraint in every]
-        stacked: tuple[Quantity, ...] = (*tasks, *every)
-        functions = QUANTITY.table([type(item).function for item in stacked])
-        watched, columns = Watched.of((item.watches for item in stacked[:-2]), tree)
-        observe(kin.bodies, watched)
-        columns += [slice(0, 0)] * 2  # a limit is one of q
-        seen = [*(watched.s[at] for at in columns[:-2]), kin.q, kin.q]
-        given = [np.array(item.parameters, dtype=np.float64) for item in stacked]
-        found = [_checked(*one) for one in zip(stacked, functions, seen, given, strict=True)]
-        sizes = found[: len(tasks)]
-        for constraint, size, count in zip(every, found[len(tasks) :], counts, strict=True):
-            if size != count:
-                raise ValueError(f"{constraint.name} has {size} distances, but names {count} rows")
-        self.task_rows = sum(sizes)
-        self.sqrt_weights = np.repeat([task.weight**0.5 for task in tasks], sizes)
-        every_row = slices([*sizes, *counts])
-        self.task_spans = {task.name: span for task, span in zip(tasks, every_row, strict=False)}
+        n, l = len(kin.q), self.rows.equalities
+        self._shape = n, l, len(self.rows.near) - l
+        self._unlimited = np.full(n, np.inf)
+        self.damping = damping
 
-        parts, parameters = slices([len(part) for part in given]), np.concatenate(given)
+        constraints = (*equalities, *inequalities, *limits)
+        stacked: tuple[Quantity, ...] = (*tasks, *constraints)
+        functions = QUANTITY.table([type(item).function for item in stacked])
+        given = [np.array(item.parameters, dtype=np.float64) for item in stacked]
+        watched, columns = Watched.of((item.watches for item in stacked[:-2]), kin.tree)
+        observe(kin.bodies, watched)
+        seen = [*(watched.s[at] for at in columns), kin.q, kin.q]  # a limit is one of q
+        sizes = [_checked(*one) for one in zip(stacked, functions, seen, given, strict=True)]
+        for constraint, size in zip(constraints, sizes[len(tasks) :], strict=True):
+            if size != (count := len(constraint.row_names(kin.model.joint_names))):
+                raise ValueError(f"{constraint.name} has {size} distances, but names {count} rows")
+
+        rows, parts, parameters = slices(sizes), slices([len(part) for part in given]), np.concatenate(given)
+        self.task_spans = {task.name: span for task, span in zip(tasks, rows, strict=False)}
+        self.task_rows = r = sum(sizes[: len(tasks)])
+        self.sqrt_weights = np.repeat([task.weight**0.5 for task in tasks], sizes[: len(tasks)])
         live = [(item.live, parameters[part]) for item, part in zip(stacked, parts, strict=True)]
         self._live = [(numbers, copy[: len(numbers)]) for numbers, copy in live if numbers is not None]
-        spans = [(at.start, at.stop) for three in zip(every_row, columns, parts, strict=True) for at in three]
-        groups = [(at.start, at.stop) for at in slices(counts[: len(equalities)]) if at.stop - at.start > 1]
-        count = every_row[-3].stop
-        self._shape = n, self.rows.equalities, len(self.rows.near) - self.rows.equalities
-        self.damping = damping
-        self._memory = _Memory(
-            tree.tree,
-            tree.links,
-            Bodies._make(map(np.empty_like, kin.bodies))._replace(moves=tree.moves),
-            watched,
-            _Stack(
-                functions,
-                np.array(spans, dtype=np.int64).reshape(-1, 6),
-                parameters,
-                np.zeros((count, len(watched.s))),
-                np.empty(count),
-            ),
-            _Form(
-                np.array([(eta if task.eta is None else task.eta, task.saturation) for task in tasks]),
-                self.sqrt_weights,
-                self.rows.numbers,
-                np.array(groups, dtype=np.int64).reshape(-1, 2),
-            ),
+        three = zip(rows, [*columns, *[slice(0, 0)] * 2], parts, strict=True)
+        count = rows[-3].stop  # but for the limits
+        stack = _Stack(
+            functions,
+            np.array([(at.start, at.stop) for each in three for at in each], dtype=np.int64).reshape(-1, 6),
+            parameters,
+            np.zeros((count, len(watched.s))),
+            np.empty(count),
         )
+        of_equalities = rows[len(tasks) : len(tasks) + len(equalities)]
+        groups = [(at.start - r, at.stop - r) for at in of_equalities if at.stop - at.start > 1]
+        form = _Form(
+            np.array([(eta if task.eta is None else task.eta, task.saturation) for task in tasks]),
+            self.sqrt_weights,
+            self.rows.numbers,
+            np.array(groups, dtype=np.int64).reshape(-1, 2),
+        )
+        bodies = Bodies._make(map(np.empty_like, kin.bodies))._replace(moves=kin.tree.moves)
+        self._memory = _Memory(kin.tree.tree, kin.tree.links, bodies, watched, stack, form)
         self._table = _MEMORY.table(self._memory)
         self._first = tuple(watched.first(len(tasks[0].watches))), functions[0], parameters[parts[0]], tasks[0].live
-        self._unlimited = np.full(n, np.inf)
 
     def __call__(
         self, q: Array, up: Array, elapsed: float = math.inf, dt: float | None = None, velocity: Array | None = None

@@ -143,7 +143,7 @@ def test_the_walk_of_a_damaged_line_is_repeated(tmp_path, line):
 
 
 def test_without_semaphores_the_walks_run_one_after_the_other(tmp_path, monkeypatch, caplog):
-    """In a container whose /dev/shm cannot be written, joblib ended in an AssertionError."""
+    """In a container whose /dev/shm cannot be written, where joblib ends in an AssertionError."""
 
     def refuse(*_, **__):
         raise OSError(errno.EROFS, "Read-only file system")
