@@ -12,6 +12,7 @@ from typing import Any
 
 from dqwalk_ros.adopt.anatomy import Anatomy, find_anatomy
 from dqwalk_ros.adopt.check import check
+from dqwalk_ros.adopt.description import part_of
 from dqwalk_ros.adopt.doubts import (
     assume_masses,
     check_names,
@@ -169,7 +170,10 @@ def adopt(
     progress(0.0, "reading the robot")
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ModelError(missing("robot file", path))
-    urdf, drives = load_mjcf(path, package_paths) if is_mjcf(path) else (Urdf.load(path, package_paths, xacro), {})
+    try:
+        urdf, drives = load_mjcf(path, package_paths) if is_mjcf(path) else (Urdf.load(path, package_paths, xacro), {})
+    except ModelError as error:
+        raise ModelError(f"{error}{part_of(path)}") from error
     shapes = Shapes(urdf, path, tuple(map(pathlib.Path, package_paths)))
     changes = changes or {}
     with _repairs_noted(urdf):

@@ -528,7 +528,7 @@ def _length_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahe
         if found is None:
             return 0.0
         low = found[found[:, 2] < found[:, 2].min() + 0.02]
-        along = (low - skeleton.place(leg[-1])) @ ahead
+        along = (low - _leg(skeleton, leg).ankle) @ ahead
         reach.append((float(along.max()), float(-along.min())))
     front, back = np.mean(reach, axis=0)
     if min(front, back) <= 0.0:

@@ -68,7 +68,18 @@ def description_in(path: pathlib.Path) -> pathlib.Path:
 
 def _without_parts(files: list[pathlib.Path]) -> list[pathlib.Path]:
     """Return the files that no other includes; all of them if each is included."""
-    parts = {
-        name for file in files for name in _INCLUDED.findall(file.read_text(errors="replace")) if name != file.name
-    }
+    parts = {name for file in files for name in _included(file) - {file.name}}
     return [file for file in files if file.name not in parts] or files
+
+
+def part_of(path: pathlib.Path) -> str:
+    """Return which files in the folder of this one, or above it, include it, as the end of a message; empty if none."""
+    near = [file for folder in (path.parent, path.parent.parent) for kind in _KINDS for file in folder.glob(kind)]
+    found = dict.fromkeys(file for file in near if file.is_file() and path.name in _included(file) - {file.name})
+    names = ", ".join(str(file) for file in [*found][:_SHOWN])
+    return f"; is it only a part of {names}, which includes it?" if found else ""
+
+
+def _included(file: pathlib.Path) -> set[str]:
+    """Return the names of the files that a file includes."""
+    return set(_INCLUDED.findall(file.read_text(errors="replace")))

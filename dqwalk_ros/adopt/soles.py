@@ -20,7 +20,7 @@ _FLAT = 0.004
 """Largest distance from the plane of a sole of a point that belongs to it [m]."""
 _MIRRORED = 0.004
 """Largest difference of two soles that mirror each other, in size and in place [m]."""
-_EVEN = 0.3
+_EVEN = 0.25
 """Least part of the lower side of a foot that is even, within 3 degrees: that of a round foot is small."""
 _UNLIKE, _TILTED = 1.5, math.radians(10.0)
 """Largest ratio of the sizes of two soles, and largest angle between them, that belong to one robot."""

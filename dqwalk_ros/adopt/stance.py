@@ -96,7 +96,8 @@ def _leans(numbers: Numbers) -> str:
         raise ModelError(f"{none}: a trunk that leans would do so, but its CoM is not above the hips")
     angle, most = numbers.leaning(numbers.pace), min(lean.most, MOST_LEAN)
     if angle > most:
-        but = f"its hips roll by {math.degrees(lean.most):.0f} degrees" if lean.most < MOST_LEAN else "that tips it"
+        rolls = f"its hips roll by {math.degrees(lean.most):.0f} degrees to one side"
+        but = rolls if lean.most < MOST_LEAN else "that tips it"
         raise ModelError(
             f"{none}: its trunk, which moves the CoM by {1e3 * lean.lever:.0f} mm/rad, would have to lean by "
             f"{math.degrees(angle):.0f} degrees in each step even of a dynamic walk on soles that are "

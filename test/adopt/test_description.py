@@ -155,3 +155,13 @@ def test_files_of_other_formats_are_named(text: str, message: str, tmp_path: Pat
     path.write_text(text)
     with pytest.raises(ModelError, match=message):
         description_in(path)
+
+
+def test_a_file_that_is_only_a_part_names_the_one_that_includes_it(tmp_path: Path) -> None:
+    part = tmp_path / "legs.xml"
+    part.write_text("<mujocoinclude><asset/></mujocoinclude>")
+    with pytest.raises(ModelError, match=r"not a URDF, whose root is <robot>$"):
+        adopt(part, tmp_path / "out")
+    (tmp_path / "robot.xml").write_text('<mujoco><include file="./legs.xml"/><worldbody/></mujoco>')
+    with pytest.raises(ModelError, match=r"is it only a part of .*robot\.xml, which includes it\?$"):
+        adopt(part, tmp_path / "out")

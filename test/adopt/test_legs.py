@@ -87,6 +87,16 @@ def test_the_origin_of_a_joint_along_its_axis_is_arbitrary(joints: str) -> None:
     assert (found.leg, found.apart) == pytest.approx((plain.leg, plain.apart), abs=1e-6)
 
 
+def test_where_an_ankle_is_along_its_own_axis_does_not_tell_front_from_back(tmp_path: Path) -> None:
+    """The origin of the roll joint is in front of the foot, as in HighTorque's Pi Plus."""
+    usual, urdf = anatomy_of(read(tmp_path)), read(tmp_path)
+    for side in "lr":
+        moved(urdf, urdf.joints[f"{side}_ankle_roll"].child, at([0.08, 0.0, 0.0]))
+    there, here = ({entry.what: entry.source for entry in found.evidence} for found in (usual, anatomy_of(urdf)))
+    assert here["ahead"] == there["ahead"]
+    assert "side names" not in here
+
+
 def test_legs_that_differ_are_refused_with_joint_and_distance(tmp_path: Path) -> None:
     urdf = Urdf.load(SMALL)
     urdf.joints["r_knee"].origin[0, 3] += 0.02

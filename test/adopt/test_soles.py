@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -46,6 +47,16 @@ def test_a_long_sole_may_be_narrow_but_not_one_like_a_point(tmp_path: Path) -> N
     assert anatomy_of(read(tmp_path, (box, '<box size="0.1265 0.01 0.0132"/>'))).soles[Foot.LEFT].width < 0.011
     with pytest.raises(ModelError, match="points or edges: its left sole is 20 x 10 mm"):
         anatomy_of(read(tmp_path, (box, '<box size="0.02 0.01 0.0132"/>')))
+
+
+def test_a_flat_sole_may_have_edges_that_are_rounded(tmp_path: Path) -> None:
+    """As the foot of a duck: 22 mm are flat, and 32 mm on both sides of these bend up."""
+    bend = np.linspace(0.0, math.radians(45.0), 16)
+    side = np.column_stack([0.011 + 0.045 * np.sin(bend), 0.045 * (1.0 - np.cos(bend)) - 0.0066])
+    corners = [(x, y * way, z) for x in (-0.05, 0.05) for way in (-1.0, 1.0) for y, z in side]
+    trimesh.convex.convex_hull(np.array(corners)).export(tmp_path / "foot.stl")
+    found = anatomy_of(read(tmp_path, (FOOT_BOX, '<mesh filename="foot.stl"/>')), tmp_path / "robot.urdf")
+    assert found.soles[Foot.LEFT].length == pytest.approx(0.1, abs=1e-3)
 
 
 def test_a_missing_mesh_of_a_foot_is_an_error_that_names_it(tmp_path: Path) -> None:
