@@ -43,8 +43,6 @@ class VelocityController:
 
     Parameters
     ----------
-    config : Config
-    model : RobotModel
     walk : type of Walk
         Class of the walk; `reset` creates a new instance.
 
@@ -190,7 +188,6 @@ class VelocityController:
 
         Parameters
         ----------
-        state : State
         dt : float
             Period until the next state [s].
 

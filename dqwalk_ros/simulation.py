@@ -143,8 +143,6 @@ def simulate(
 
     Parameters
     ----------
-    controller : VelocityController
-    plant : Plant
     progress : callable, optional
         Called about ten times a second with the fraction of phases done and a line of text.
     max_time : float, optional

@@ -197,10 +197,8 @@ class TraceRecorder:
 
         Parameters
         ----------
-        state : State
         command : Command or None
             None if the controller failed.
-        controller : VelocityController
         plant : Plant
             The plant at that state, for its ground truth.
         """

@@ -62,7 +62,6 @@ def find_file(what: str, source: str | os.PathLike[str], folder: str, names: Seq
         What it is, in messages.
     source : path
         A path, or one of `names`; a folder of such a name, as that of earlier results, is not meant.
-    folder : str
     names : sequence of str
         Names of files in `folder`; those without suffix are YAML files.
 

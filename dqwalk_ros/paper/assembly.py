@@ -212,9 +212,6 @@ class Assembly:
     ----------
     kin : Kinematics
         The robot at the start of the phase, in the base frame of the phase.
-    tasks : sequence of Task
-    equalities, inequalities : sequence of Constraint
-    limits : (JointMaximum, JointMinimum)
     eta, damping : float
         eta [1/s] and lambda of (U6).
 

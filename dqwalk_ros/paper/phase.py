@@ -173,7 +173,6 @@ class EndRule:
 
     Parameters
     ----------
-    config : Config
     name : str
         Name of the phase, for messages.
     double : bool

@@ -76,7 +76,6 @@ def ground_torques(
         Centre of pressure on the ground [m].
     com, J_com, lines, poses : ndarray
         Those of `Kinematics`.
-    soles : Soles
     """
     tau = force @ J_com
     if soles.both:

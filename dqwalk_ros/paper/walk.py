@@ -64,13 +64,7 @@ class Change:
 
 
 class Walk(ABC):
-    """The sequence of the phases, and the footsteps.
-
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-    """
+    """The sequence of the phases, and the footsteps."""
 
     def __init__(self, config: Config, model: RobotModel) -> None:
         self.config, self.model = config, model
@@ -101,7 +95,6 @@ class Walk(ABC):
 
         Parameters
         ----------
-        phase : Phase or None
         kin : Kinematics
             The robot at the end of the phase, in its base frame; before the first phase in that of the left sole.
         """
@@ -127,8 +120,6 @@ class Walk(ABC):
 
         Parameters
         ----------
-        kind : PhaseKind
-        support : Foot
         q_start : array_like, shape (n,)
             [rad]
         swing_target : array_like, shape (8,)

@@ -148,7 +148,6 @@ def set_timestep(mj: Any, dt: float, largest: float) -> int:
 
     Parameters
     ----------
-    mj : mujoco.MjModel
     dt : float
         Period [s].
     largest : float

@@ -49,7 +49,6 @@ class Shapes:
 
     Parameters
     ----------
-    urdf : Urdf
     near : path
         Path of the robot description; packages are also searched in the folders around it.
     places : sequence of path

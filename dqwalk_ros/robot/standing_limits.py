@@ -94,11 +94,6 @@ def longest_delay(gain: float, height: float) -> float:
 def servo_findings(config: Config, model: RobotModel) -> Iterator[Finding]:
     """Yield problems of the stiffness and the damping of the servos of a standing walk.
 
-    Parameters
-    ----------
-    config : Config
-    model : RobotModel
-
     Yields
     ------
     Finding

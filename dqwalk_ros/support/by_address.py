@@ -104,7 +104,6 @@ class Record:
 
     Parameters
     ----------
-    cls : type of NamedTuple
     fields
         Types of its arrays and numbers, such as `VECTOR`; of a record within it, its `Record`.
     """
