@@ -180,6 +180,13 @@ class GroundTruth:
         return bool(low or np.nanmax(self.tilt) > TIPPED)
 
     @property
+    def failure(self) -> str:
+        """Why a walk does not count as one that stood: it ended early, fell, or was stopped; empty if it does."""
+        if self.fallen or not self._trace.finished:
+            return "; ".join(self._trace.notes) or "the robot fell"
+        return shortfall(self.way, self.commanded)
+
+    @property
     def swing_load(self) -> float | None:
         """Fraction of the weight on the swing foot, the median of all ticks; None without single support."""
         parts = []

@@ -21,7 +21,6 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.base import Plant
 from dqwalk_ros.plants.table import make_plant
-from dqwalk_ros.report.ground import shortfall
 from dqwalk_ros.robot.model import RobotModel, find_urdf, load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies import ceiling
@@ -110,7 +109,7 @@ class WalkOutcome(msgspec.Struct, frozen=True):
     """The outcome of a walk; of a walk with a push only whether it stood, and why not."""
 
     stood: bool
-    """Whether it was finished upright, and its soles covered the path of its steps (`report.ground.shortfall`)."""
+    """Whether it was finished upright, and its soles covered the path of its steps (`GroundTruth.failure`)."""
     reason: str = ""
     """Why it did not stand, or what is not OK."""
     ok: bool | None = None
@@ -234,12 +233,14 @@ def _evaluate(
         trace = simulate(controller, plant, before_step=before_step)
         if trace.interrupted:
             raise KeyboardInterrupt  # an interrupted walk has no outcome
-        found = report.report(report.analyse(trace))
+        series = report.analyse(trace)
+        if (ground := series.ground) is None:
+            raise PlantError(f"the plant '{point['engine']}' has no ground truth, by which a walk is judged")
+        found = report.report(series)
     except DqwalkError as error:
         return WalkOutcome(False, str(error))
-    of, stopped = found["physics"], shortfall(found["physics"]["way"], found["physics"]["commanded_way"])
-    stood = trace.finished and not of["fallen"] and not stopped
-    reasons = [*trace.notes, *filter(None, [stopped]), *(one["message"] for one in found["violations"])]
+    of, failure = found["physics"], ground.failure
+    reasons = [*trace.notes, *filter(None, [failure]), *(one["message"] for one in found["violations"])]
     why = "" if found["ok"] else "; ".join([*dict.fromkeys(reasons)][:2])
     seconds = float(trace.time[-1] - trace.time[0])
     landing, speed = found["walk"]["landing_error"], of["way"] / seconds if seconds > 0.0 else None
@@ -249,7 +250,7 @@ def _evaluate(
 
         with contextlib.suppress(PlantError):  # shapes that MuJoCo cannot read, such as some meshes
             touching = own_contacts(model, trace.q, find_urdf(config.robot.urdf)).total()
-    return WalkOutcome(stood, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed, touching)
+    return WalkOutcome(not failure, why, found["ok"], of["tilt"]["value"], landing, of["cop_inside"], speed, touching)
 
 
 def _reaching(controller: VelocityController, interval: float, seed: int) -> Callable[[float], None]:

@@ -16,7 +16,6 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report.binding import acting, limits_reached, most_loaded
-from dqwalk_ros.report.ground import shortfall
 from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
@@ -121,8 +120,7 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> CellOutcome:
     except DqwalkError as error:
         return CellOutcome(False, 0.0, 0, str(error))
     load = most_loaded(trace)
-    fell = "; ".join(trace.notes) or "the robot fell" if ground.fallen or not trace.finished else ""
-    reason = fell or shortfall(ground.way, ground.commanded)
+    reason = ground.failure
     steps = sum(not span.double and span.ending is not None for span in series.spans)
     needed: dict[str, Any] = {"load": load.part, "joint": load.joint} if load else {}
     reached, tilt = limits_reached(series, acting(trace)[0]), float(np.nanmax(ground.tilt))

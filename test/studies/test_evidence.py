@@ -166,6 +166,7 @@ def test_rows_are_chosen_by_their_names(
 ) -> None:
     given: list[str] = []
     monkeypatch.setattr(evidence, "collect", lambda rows, *_, **__: given.extend(rows) or [])
+    monkeypatch.setattr(evidence, "ceilings", lambda rows: {})
     rows = ["--row", "pushes*at*", "--row", "dynamic walk"]
     assert cli.main(["evidence", *rows, "--out", str(tmp_path)]) == 0
     assert given == ["dynamic walk", "pushes of 0.30 N s at 0.30 m/s"]
