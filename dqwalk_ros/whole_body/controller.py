@@ -49,23 +49,14 @@ class BodyState(State):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class BodyCommand(Command):
-    """Joint torques for the next period, and the predicted motion.
-
-    Attributes
-    ----------
-    velocity : ndarray, shape (n,)
-        Predicted joint velocities at the end of the period [rad/s].
-    effort : ndarray, shape (n,)
-        tau of (S1) [N m].
-    stance : tuple of Foot
-        Feet on the ground.
-    landing : Foot or None
-        The foot that touches down at the end of the period.
-    """
+    """Joint torques for the next period, and the predicted motion: `velocity` is that at its end."""
 
     effort: Array
+    """tau of (S1), shape (n,) [N m]."""
     stance: tuple[Foot, ...]
+    """Feet on the ground."""
     landing: Foot | None = None
+    """The foot that touches down at the end of the period."""
 
 
 @dataclass(frozen=True)
