@@ -45,22 +45,23 @@ def share_of(foot: Foot, loads: Array) -> float:
 
 
 class _Legs(NamedTuple):
-    """Both legs, seen from a base sole, and what is known of their joints.
-
-    `right` is whether that is the right one, `pelvis` (n,) whether a joint moves the pelvis, `center` and
-    `other_center` (3,) the centres of the soles in their frames [m], and `other` the place of the other sole. `weight`
-    is that of the robot [N], `armature` (n,) the inertia of the rotors [kg m^2], and `acceleration` (n,) the filtered
-    one of the joints [rad/s^2].
-    """
+    """Both legs, seen from a base sole, and what is known of their joints."""
 
     right: bool
+    """Whether the base sole is the right one."""
     pelvis: Mask
+    """Whether a joint moves the pelvis, shape (n,)."""
     center: Array
     other_center: Array
+    """Centres of the base sole and of the other one in their frames, shape (3,) [m]."""
     other: Place
+    """Of the other sole."""
     weight: float
+    """Of the robot [N]."""
     armature: Array
+    """Inertia of the rotors, shape (n,) [kg m^2]."""
     acceleration: Array
+    """Filtered acceleration of the joints, shape (n,) [rad/s^2]."""
 
 
 _LEGS = Record(_Legs, BOOLEAN, BOOLEANS, VECTOR, VECTOR, PLACE, FLOAT, VECTOR, VECTOR)

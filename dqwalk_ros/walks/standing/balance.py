@@ -29,20 +29,22 @@ _NO_EDGES = np.empty((0, 2)), np.empty(0)
 
 
 class _Given(NamedTuple):
-    """What is constant in a phase.
-
-    The path of the CoM has a start (2,) [m], a duration [s], and points (k, 3) of bodies, whose mean is its end; `n`
-    and `d` are the edges of the support polygon, and `margin` [m] is the distance of the CoP from them.
-    """
+    """What is constant in a phase."""
 
     start: Array
+    """Of the path of the CoM, shape (2,) [m]."""
     duration: float
+    """Of the path [s]."""
     bodies: NDArray[np.int64]
     points: Array
+    """Bodies (k,) and points of them (k, 3), whose mean is the end of the path [m]."""
     n: Array
     d: Array
+    """Inward normals (k, 2) and offsets (k,) of the edges of the support polygon [m]."""
     gain: float
+    """k, of the feedback."""
     margin: float
+    """Distance of the centre of pressure from the edges [m]."""
     mass: float
     sensor: Place
     soles: Soles
