@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pathlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def draw(config: Config, model: RobotModel, path: pathlib.Path, *, overwrite: bo
                 normals = np.cross(shown[:, 1] - shown[:, 0], shown[:, 2] - shown[:, 0])
                 bright = np.abs(normals @ _LIGHT) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
                 colors = np.repeat(0.55 + 0.4 * bright[:, None], 3, axis=1)
-                projected = [*shown[:, :, [right, up]]]
+                projected: Any = shown[:, :, [right, up]]  # as an array, which is drawn faster than a list
                 ax.add_collection(PolyCollection(projected, facecolors=colors, edgecolors="none"))
             for bone in bones:
                 ax.plot(bone[:, right], bone[:, up], color=INK, linewidth=1.0, marker="o", markersize=2.0)
@@ -89,11 +89,11 @@ def _triangles(model: RobotModel, kin: Kinematics, file: pathlib.Path) -> Array:
     """Return the triangles of the visual shapes, or else of the collision shapes, shape (k, 3, 3) [m]."""
     shapes = Shapes(Urdf(model.urdf, model.name), file)
     for which in ("visuals", "collisions"):
-        found = [
-            DQ(kin.pose(link)).transform_point(surface.vertices)[surface.faces]
-            for link in model.frames
-            for surface in shapes.of(link, which)
-        ]
+        found = []
+        for link in model.frames:
+            pose = DQ(kin.pose(link))
+            turn, place = pose.rotation_matrix(), pose.translation()  # a hundred times as fast as a product per corner
+            found += [(part.vertices @ turn.T + place)[part.faces] for part in shapes.of(link, which)]
         if found:
             triangles = np.concatenate(found)
             return triangles[:: 1 + len(triangles) // _MOST_TRIANGLES]

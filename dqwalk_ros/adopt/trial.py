@@ -63,6 +63,8 @@ class Trial:
     """Reason for which the walk ended early; what its report finds, if it was completed."""
     violations: int = 0
     """How much that is, if it was completed."""
+    late: bool = False
+    """Whether the robot still stood where the time of its walk was over: its CoM did not arrive where steps begin."""
     causes: tuple[Finding, ...] = ()
     """Causes of a fall, the earliest first."""
     load: Load | None = None
@@ -149,7 +151,8 @@ def dynamic_walks(
     """Walk the dynamic walk in physics; if it falls or its report is not OK, try four cures, one after the other.
 
     These are more compliant legs, the same with all of the servos' lag assumed, goals ahead by all of this lag, and
-    shorter steps; the latter two with the changes of the best of the walks before.
+    shorter steps; the latter two with the changes of the best of the walks before. Where a walk is `late`, its legs
+    do not reach what it wants, and of the cures only shorter steps are tried.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
@@ -191,7 +194,7 @@ def dynamic_walks(
     for what, changes in tried:
         # lengths given by the user are those of the standing walk
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
-        if what and not kept:
+        if what and not kept or walks and walks[-1].late and changes is not shorter:
             continue
         kept = {**(best(walks).changes if changes is ahead or changes is shorter else {}), **kept}
         write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)
@@ -272,7 +275,8 @@ def walk(config: Config, model: RobotModel, plant: str, progress: Callable[[floa
     if not trace.finished:
         late = f"not at its end after {most:.0f} s: double supports wait until the CoM has arrived" if most else ""
         why = "; ".join(trace.notes) or late
-        return Trial(plant, False, _distance(trace), planned, why, causes=tuple(causes(series)))
+        waits = not trace.notes
+        return Trial(plant, False, _distance(trace), planned, why, late=waits, causes=tuple(causes(series)))
     found = violations(series)
     note = f"{found[0].message}" + (f", and {len(found) - 1} more" if len(found) > 1 else "") if found else ""
     touching = legs_touching(model, trace.q[::_EVERY], find_urdf(config.robot.urdf)) if plant == "physics" else ""

@@ -299,6 +299,7 @@ FINE, CLOSE, BESIDE, FELL = (
     for stood, note, violations in ((True, "", 0), (True, "6 mm off", 1), (True, "9 mm off", 3), (False, "fell", 0))
 )
 EARLY, STUCK = replace(FELL, plant="integrator"), replace(CLOSE, distance=0.4)
+LATE = replace(FELL, late=True)
 
 
 @pytest.mark.parametrize(
@@ -315,6 +316,8 @@ EARLY, STUCK = replace(FELL, plant="integrator"), replace(CLOSE, distance=0.4)
         ([BESIDE, CLOSE, FELL, FELL, FINE], (), (0.4, 0.75, 0.7, 0.7)),
         ([BESIDE, FELL, FELL, CLOSE, FINE], ("gait.step_length",), (1.0, 1.0, 1.0, 0.7)),
         ([BESIDE, FELL, BESIDE, FINE], ("servo.window",), (1.0, 0.75, 0.7, 0.7)),
+        ([LATE, FINE], (), (1.0, 0.75, 0.7, 0.7)),
+        ([BESIDE, LATE, LATE], (), (1.0, 0.75, 0.7, 1.0)),
     ],
 )
 def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user_is_changed(
