@@ -194,7 +194,7 @@ def dynamic_walks(
     for what, changes in tried:
         # lengths given by the user are those of the standing walk
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
-        if what and not kept or walks and walks[-1].late and changes is not shorter:
+        if (what and not kept) or (walks and walks[-1].late and changes is not shorter):
             continue
         kept = {**(best(walks).changes if changes is ahead or changes is shorter else {}), **kept}
         write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)
