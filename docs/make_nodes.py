@@ -1,10 +1,12 @@
 """Make the pages of the nodes from what they say of themselves and from the schema of the parameters.
 
-A hook of mkdocs (see mkdocs.yml): the pages are made anew with every website and are not kept.
+A hook of mkdocs (see mkdocs.yml): the pages are made anew with every website and are not kept. On the page of faults
+the names of the tests, which would fill most of its tables, are folded.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ from dqwalk_ros.nodes.command_line import docstring, parameters_of
 from dqwalk_ros.support.node_table import NODES
 
 FOLDER = Path(__file__).resolve().parent / "nodes"
+_TESTS = re.compile(r"(?<=\| )`[\w/]+\.py\b[^|]*`(?= \|)")
+"""A cell that names tests."""
 
 
 def page(name: str) -> str:
@@ -41,11 +45,21 @@ def _row(spec: Spec) -> str:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Add links to the pages of the nodes to the first page, whose source has none: they exist on the website only."""
+    """Add links to the pages of the nodes to the first page, whose source has none: they exist on the website only.
+
+    Names of tests on the page of faults are folded.
+    """
+    if page.file.src_uri == "faults.md":
+        return _TESTS.sub(_folded, markdown)
     if page.file.src_uri != "index.md":
         return markdown
     links = ", ".join(f"[{node}](nodes/{node}.md)" for node in NODES)
     return f"{markdown.rstrip()}\n\nPages of the nodes: {links}.\n"
+
+
+def _folded(tests: re.Match[str]) -> str:
+    count = tests[0].count("`") // 2
+    return f"<details><summary>{count} test{'s' * (count > 1)}</summary>{tests[0]}</details>"
 
 
 def on_pre_build(config: Any) -> None:

@@ -208,6 +208,16 @@ def test_the_first_page_of_the_website_links_to_every_node():
     assert add("# Title\n", other) == "# Title\n"
 
 
+def test_the_website_folds_the_names_of_the_tests_of_faults():
+    add = runpy.run_path(str(ROOT / "docs/make_nodes.py"))["on_page_markdown"]
+    faults = SimpleNamespace(file=SimpleNamespace(src_uri="faults.md"))
+    text = (ROOT / "docs/faults.md").read_text()
+    folded = add(text, faults)
+    named = re.findall(r"`[\w/]*(?:\.py)?::\w+`", text)
+    assert sum(int(count) for count in re.findall(r"<summary>(\d+) tests?</summary>", folded)) >= len(named) > 100
+    assert re.sub(r"<summary>.*?</summary>|</?details>", "", folded) == text
+
+
 def test_the_lines_that_replace_the_plant_start_nodes_of_one_period():
     """The driver refuses the period of a simulation."""
     text = (ROOT / "docs/interfaces.md").read_text().partition("## Another plant")[2].partition("\n## ")[0]
