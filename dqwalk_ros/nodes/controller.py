@@ -13,9 +13,7 @@ import time
 from typing import Any
 
 import numpy as np
-from rclpy.event_handler import SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, String
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.nodes import messages as ros
@@ -27,6 +25,7 @@ from dqwalk_ros.nodes.footsteps import FootstepInput
 from dqwalk_ros.nodes.inertial_sensor import InertialSensor
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phase_publisher import PhasePublisher
+from dqwalk_ros.nodes.plant_readiness import PlantReadiness
 from dqwalk_ros.nodes.steering import Steering
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -37,14 +36,9 @@ from dqwalk_ros.plants.base import stands_still
 from dqwalk_ros.simulation import warm_up
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, StateError
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED
-from dqwalk_ros.support.wording import one_line
 from dqwalk_ros.walks.stepping import SteppingWalk
 from dqwalk_ros.walks.table import make_controller, walk_type
 
-_MOVED = 0.1
-"""Largest motion of a joint while the plant is not ready after which an interrupted walk continues [rad]."""
-_LEFT_ALONE = 1.0
-"""Longest time for which the plant may be not ready whatever the joints do: they come to rest where they hold [s]."""
 _TUNED = 1.5
 """Largest factor by which a parameter of the walk changes at once while the robot walks: Poppy's standing walk falls if
 its transfer takes half of its time."""
@@ -121,10 +115,7 @@ class Controller(AnsweringNode):
         self._controller = make_controller(config, self._model)
         self._mode = Mode.WALKING if config.node.autostart else Mode.IDLE
         self._began: float | None = None  # time of the first state answered [s]
-        self._plant_ready = self._says_ready = True  # now, and by its last message
-        self._plant_warning = ""
-        self._left_at: State | None = None  # at which the plant has interrupted the walk
-        self._ended_for = ""  # the warning that has ended the walk
+        self._ended_for = ""  # the plant's warning that has ended the walk
         self._pausing = False  # the walk comes to a rest, where it is paused
         self._falls = FallWatch(
             config,
@@ -144,10 +135,7 @@ class Controller(AnsweringNode):
 
         # In real time only the newest state is of use; in lockstep every state must arrive.
         self.listen(JointState, "joint_states", self._on_state, 1 if self.lockstep else ros.best_effort(1))
-        ros.hear(self, Bool, "plant_ready", self._on_plant_ready)
-        ros.hear(self, String, "plant_warning", self._on_plant_warning)
-        alive = SubscriptionEventCallbacks(liveliness=self._on_liveliness, use_default_callbacks=False)
-        self.create_subscription(Bool, "plant_ready", lambda _: None, ros.watched(), event_callbacks=alive)
+        self._plant = PlantReadiness(self, self._end_in_a_stance)
         self._imu = (
             InertialSensor(self, self._model.imu_link, self._gate.inertial, self._take) if config.plant.imu else None
         )
@@ -184,7 +172,7 @@ class Controller(AnsweringNode):
             return
         before = self._mode
         self._look_for_motion_while_not_ready(state)
-        ready = self._plant_ready and not (self._duplicates or self._slow)
+        ready = self._plant.ready and not (self._duplicates or self._slow)
         self._look_for_contradictions(state, ready)
         if self._mode is Mode.WALKING and ready and not self._falls.suspected:
             answer: Fields | None = self._step(state, stamp)
@@ -291,20 +279,12 @@ class Controller(AnsweringNode):
             self._done()
 
     def _look_for_motion_while_not_ready(self, state: State) -> None:
-        """End a walk that the plant has interrupted, if the robot was moved meanwhile.
-
-        As by hand with the torque off, and then to its first pose: nobody expects that it continues in mid-step.
-        """
-        if self._mode not in (Mode.WALKING, Mode.PAUSED) or not self._has_begun:
-            self._left_at = None
-        elif not self._plant_ready:
-            self._left_at = state if self._left_at is None else self._left_at
-        elif self._left_at is not None:
-            left, self._left_at = self._left_at, None
-            moved = np.abs(state.q - left.q)
-            if moved[k := int(moved.argmax())] > _MOVED and state.time - left.time > _LEFT_ALONE:
-                name = self._model.joint_names[k]
-                self._fail(f"{name} has moved by {moved[k]:.2f} rad while the plant was not ready")
+        """End a walk that the plant has interrupted, if the robot was moved meanwhile."""
+        begun = self._mode in (Mode.WALKING, Mode.PAUSED) and self._has_begun
+        if (moved := self._plant.moved(state, begun=begun)) is not None:
+            k, angle = moved
+            name = self._model.joint_names[k]
+            self._fail(f"{name} has moved by {angle:.2f} rad while the plant was not ready")
 
     def _look_for_contradictions(self, state: State, ready: bool) -> None:
         """End the walk if the measurements contradict the commands; not checked while the robot stands still."""
@@ -332,32 +312,8 @@ class Controller(AnsweringNode):
         if self.config.node.exit_when_done:
             self.stop(0 if self._mode is Mode.DONE else 1)
 
-    def _on_plant_ready(self, msg: Bool) -> None:
-        """Stand still while the plant cannot execute commands, such as a robot whose torque is off."""
-        self._says_ready = msg.data
-        self._wait(msg.data, "")
-
-    def _on_liveliness(self, event: Any) -> None:
-        """Stand still while no plant lives: one that was killed or stopped cannot say that it is not ready."""
-        if event.not_alive_count and not event.alive_count:
-            self._wait(False, "the plant's process was killed or stopped: ")
-        elif event.alive_count and event.not_alive_count_change < 0:  # the same one lives again
-            self._wait(self._says_ready, "")
-
-    def _wait(self, ready: bool, why: str) -> None:
-        if ready != self._plant_ready:
-            self._plant_ready = ready
-            self.get_logger().info("the plant is ready" if ready else f"{why}standing still until the plant is ready")
-
-    def _on_plant_warning(self, msg: String) -> None:
-        """End the walk in a stance, because the plant would soon hold in mid-step; one that cannot stop is paused."""
-        before, reason = self._plant_warning, one_line(msg.data)
-        self._plant_warning = reason
-        if before and not reason:
-            self.get_logger().info("the plant has withdrawn its warning: a walk may begin")
-        if before or not reason:
-            return
-        self.get_logger().warning(f"the plant warns: {reason}")
+    def _end_in_a_stance(self, reason: str) -> None:
+        """End the walk because the plant warns: it would soon hold in mid-step. One that cannot stop is paused."""
         if self._mode is not Mode.WALKING:
             return
         try:
@@ -377,12 +333,12 @@ class Controller(AnsweringNode):
         if self._mode in (Mode.IDLE, Mode.PAUSED) or (self._mode is Mode.WALKING and self._pausing):
             if self._gate.fault:
                 return False, f"{self._gate.fault}; call ~/reset first"
-            if self._plant_warning:
-                return False, f"the plant warns: {self._plant_warning}"
+            if self._plant.warning:
+                return False, f"the plant warns: {self._plant.warning}"
             self._controller.pause(False)
             self._mode, self._pausing = Mode.WALKING, False
             self._show_phase()
-            return True, "walking" if self._plant_ready else "walking once the plant is ready"
+            return True, "walking" if self._plant.ready else "walking once the plant is ready"
         if self._mode is Mode.WALKING:
             return True, "already walking"
         why = "it is over" if self._mode is Mode.DONE else f"it failed: {self._problem}"
@@ -490,7 +446,7 @@ class Controller(AnsweringNode):
         if math.isfinite(drive.delay):
             values |= {"excess delay": drive.delay, "stiffness ratio": drive.stiffness}
         feet = self._feet.warning if self._feet is not None else ""
-        plant = f"the plant warns: {self._plant_warning}" if self._plant_warning else ""
+        plant = f"the plant warns: {self._plant.warning}" if self._plant.warning else ""
         gate = self._gate.inertial.warning, self._gate.velocities.wrong.reason
         warning = "; ".join(filter(None, [plant, *drive.warnings(), *gate, feet]))
         return "WARN" if warning else "OK", warning or self._label, values

@@ -144,13 +144,13 @@ def test_a_warning_is_heard_of_any_publisher_in_one_line(make: Any, domain: int,
         executor: Any = EventsExecutor(context=one.context)
         executor.add_node(one.node)
         deadline = time.monotonic() + 20.0
-        while not one.node._plant_warning and time.monotonic() < deadline:
+        while not one.node._plant.warning and time.monotonic() < deadline:
             if not early:
                 publisher.publish(text)
             executor.spin_once(timeout_sec=0.05)
         executor.remove_node(one.node)
-        assert one.node._plant_warning.startswith("battery [31m at 9 %")
-        assert len(one.node._plant_warning) == 300
+        assert one.node._plant.warning.startswith("battery [31m at 9 %")
+        assert len(one.node._plant.warning) == 300
     finally:
         battery.destroy_node()
         context.try_shutdown()
@@ -186,7 +186,7 @@ def test_the_walk_waits_while_its_plant_is_stopped_or_killed(make: Any, domain: 
 
         def waiting() -> bool:
             executor.spin_once(timeout_sec=0.05)
-            return time.monotonic() - since >= least and bool(one.node._plant_ready) is not expected
+            return time.monotonic() - since >= least and bool(one.node._plant.ready) is not expected
 
         until(waiting)
 
@@ -224,7 +224,7 @@ def test_a_plant_that_is_not_ready_is_heard_whatever_its_quality_of_service(make
     def heard() -> bool:
         plant.publish(Bool(data=False))
         executor.spin_once(timeout_sec=0.05)
-        return not one.node._plant_ready and doctor.heard.ready is False
+        return not one.node._plant.ready and doctor.heard.ready is False
 
     until(heard)
     executor.remove_node(one.node)
