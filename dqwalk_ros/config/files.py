@@ -227,7 +227,7 @@ def _sections(tree: Mapping[Any, Any], above: tuple[str, ...], source: str) -> I
     for key, value in tree.items():
         path = (*above, str(key))
         if not isinstance(value, dict):
-            holds = "must hold 'ros__parameters'" if above else "expected '/**: {ros__parameters: {...}}'"
+            holds = "expected '/**: {ros__parameters: {...}}' around the parameters"
             if key == "ros__parameters" and above:
                 holds = "must hold parameters, below it and farther to the right"
             raise ConfigError(f"{source}: {'.'.join(path)[:80]!r}: {holds}")

@@ -360,7 +360,7 @@ class Kinematics:
         return self.tree.swing
 
     def pose(self, frame: str) -> Array:
-        """Pose of a frame, vec8 of a unit dual quaternion (U1), shape (8,)."""
+        """Pose of a frame, vec8 of a unit dual quaternion (U1), shape (8,); KeyError if the model has no such frame."""
         place = self.tree.frames[frame]
         x: Array = compose(self.poses[place.body], place.pose)
         return x

@@ -46,7 +46,7 @@ class KinematicPlant(Plant):
         return self._state
 
     def step(self, command: Command, dt: float) -> State:
-        """Return the state after one period; velocities are clipped to the joints' limits.
+        """Return the state after a period `dt` [s]; velocities are clipped to the joints' limits.
 
         Raises
         ------

@@ -75,7 +75,13 @@ def refuse_foreign_code(config: Config, trusted: str = "") -> None:
 
 
 def make_walk(config: Config, model: RobotModel) -> Walk:
-    """Return a new walk as `config` describes it."""
+    """Return a new walk as `config` describes it.
+
+    Raises
+    ------
+    ConfigError
+        As `walk_type`, and if the walk refuses its parameters or the robot.
+    """
     return walk_type(config)(config, model)
 
 

@@ -119,7 +119,8 @@ FILES = {
     "empty": ("", r"expected '/\*\*"),
     "a list": ("[1, 2]", r"expected '/\*\*"),
     "no node": ("dt: 0.005", r"expected '/\*\*"),
-    "no ros__parameters": ("/**:\n  parameters:\n    dt: 0.005", "must hold 'ros__parameters'"),
+    "no ros__parameters": ("/**:\n  parameters:\n    dt: 0.005", r"expected '/\*\*: \{ros__parameters"),
+    "a section of parameters": ("robot: {mass: 3.2}", r"'robot.mass': expected '/\*\*: \{ros__parameters"),
     "a number of parameters": ("/**:\n  ros__parameters: 3", "ros__parameters': must hold parameters"),
     "no parameters": ("/**:\n  ros__parameters:\n", "ros__parameters': must hold parameters"),
 }
