@@ -43,6 +43,8 @@ _FLAT, _TREAD, _SPARE = 0.3, 0.25, 14
 """Least way to a step and on it [m], and the number of steps with which a robot climbs it; both ways suit two soles."""
 _LONGEST, _PATIENCE = 120.0, 3.0
 """Longest time of a climb [s], and of a dynamic walk, as a multiple of the planned one."""
+_FIRST = 10
+"""Steps of a dynamic walk, before the whole one, of a robot that cannot do the standing walk: many wait in each."""
 _COMPLIES, _SHORTER = 0.4, 0.7
 """Factors of ``servo.window`` and of the length of a step that may cure a dynamic walk."""
 
@@ -152,7 +154,7 @@ def dynamic_walks(
 
     These are more compliant legs, the same with all of the servos' lag assumed, goals ahead by all of this lag, and
     shorter steps; the latter two with the changes of the best of the walks before. Where a walk is `late`, its legs
-    do not reach what it wants, and of the cures only shorter steps are tried.
+    rather do not reach what it wants, and the lag of the servos is not tried.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
@@ -168,7 +170,13 @@ def dynamic_walks(
     def trial() -> Trial:
         config = load(found.folder / "dynamic.yaml")
         model = load_model(config.robot)
-        done = walk(config, model, "physics", lambda share, text: progress(share, f"dynamic walk in {text}"))
+
+        def walked(steps: int) -> Trial:
+            part = config.updated({"gait.steps": min(steps, config.gait.steps)})
+            return walk(part, model, "physics", lambda share, text: progress(share, f"dynamic walk in {text}"))
+
+        first = walked(_FIRST) if found.numbers.hindrance else None
+        done = first if first is not None and first.late else walked(config.gait.steps)
         beyond = too_much(config, model) if found.anatomy.lean is None else ""  # of a pelvis that is upright
         why = (done.note, beyond, heavy) if done.note else ()
         return replace(done, plant="dynamic walk", note="; ".join(text for text in why if text))
@@ -194,7 +202,8 @@ def dynamic_walks(
     for what, changes in tried:
         # lengths given by the user are those of the standing walk
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
-        if (what and not kept) or (walks and walks[-1].late and changes is not shorter):
+        late = bool(walks) and walks[-1].late
+        if (what and not kept) or (late and not (changes is complies or changes is shorter)):
             continue
         kept = {**(best(walks).changes if changes is ahead or changes is shorter else {}), **kept}
         write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)

@@ -238,13 +238,14 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
         print(f"{found.folder / 'dynamic.yaml'} has {_what(quick.changes) or 'no changes'}")
     steps = quick.stood and (stands or not quick.note)
     ends = "is not possible" if last is None else "falls" if last.plant == "physics" else "ends early in kinematics"
-    walks = {"robot.yaml": ("the standing walk", stands, ends), "dynamic.yaml": ("the dynamic walk", steps, "falls")}
+    slow = "is not OK" if quick.stood else "waits in its double supports" if quick.late else "falls"
+    walks = {"robot.yaml": ("the standing walk", stands, ends), "dynamic.yaml": ("the dynamic walk", steps, slow)}
     for file in (file for file, (_, good, _) in walks.items() if good):
         print(shlex.join(["dqwalk", "simulate", "--config", str(found.folder / file), "--plant", "physics"]))
     if not stands and not steps:
         print(
-            f"adopted, but does not walk, and no cure helped: the standing walk {ends}, the dynamic walk "
-            f"{'is not OK' if quick.stood else 'falls'}: change what their causes name"
+            f"adopted, but does not walk, and no cure helped: the standing walk {ends}, the dynamic walk {slow}: "
+            "change what their causes name"
         )
         return 1
     each = ", ".join(f"{name} {'stands in physics' if good else end}" for name, good, end in walks.values())

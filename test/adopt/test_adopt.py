@@ -316,7 +316,7 @@ LATE = replace(FELL, late=True)
         ([BESIDE, CLOSE, FELL, FELL, FINE], (), (0.4, 0.75, 0.7, 0.7)),
         ([BESIDE, FELL, FELL, CLOSE, FINE], ("gait.step_length",), (1.0, 1.0, 1.0, 0.7)),
         ([BESIDE, FELL, BESIDE, FINE], ("servo.window",), (1.0, 0.75, 0.7, 0.7)),
-        ([LATE, FINE], (), (1.0, 0.75, 0.7, 0.7)),
+        ([LATE, LATE, FINE], (), (1.0, 0.75, 0.7, 0.7)),
         ([BESIDE, LATE, LATE], (), (1.0, 0.75, 0.7, 1.0)),
     ],
 )
@@ -342,6 +342,16 @@ def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user
     assert changed == pytest.approx(factors, rel=0.03)
     far = (after.gait.steps - after.dynamic.ramp) * after.gait.step_length
     assert 3.2 <= far < 3.4
+
+
+def test_a_robot_that_waits_in_its_first_steps_does_not_walk_on(
+    small: Adoption, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(small.folder, tmp_path / "robot")
+    hindered, steps = replace(small.numbers, hindrance="no ankle rolls"), list[int]()
+    monkeypatch.setattr(trial, "walk", lambda config, *_: steps.append(config.gait.steps) or LATE)
+    list(dynamic_walks(replace(small, folder=tmp_path / "robot", numbers=hindered), {}, {}))
+    assert steps == [10, 10, 10]
 
 
 def test_heavy_legs_are_named_where_a_dynamic_walk_lands_beside_its_targets(
@@ -399,6 +409,7 @@ def test_commands_to_be_copied_name_a_folder_with_blanks_as_a_shell_reads_it(
         (FINE, FINE, 0, "adopted: the standing and the dynamic walk stand in physics"),
         (FINE, BESIDE, 0, "adopted: the standing and the dynamic walk stand in physics"),
         (FINE, FELL, 0, "adopted: the standing walk stands in physics, the dynamic walk falls"),
+        (FINE, LATE, 0, "adopted: the standing walk stands in physics, the dynamic walk waits in its double supports"),
         (FELL, FINE, 0, "adopted: the standing walk falls, the dynamic walk stands in physics"),
         (EARLY, FINE, 0, "adopted: the standing walk ends early in kinematics, the dynamic walk stands in physics"),
         (FELL, BESIDE, 1, "adopted, but does not walk, .* the standing walk falls, the dynamic walk is not OK: "),
