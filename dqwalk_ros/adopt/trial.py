@@ -43,6 +43,8 @@ _FLAT, _TREAD, _SPARE = 0.3, 0.25, 14
 """Least way to a step and on it [m], and the number of steps with which a robot climbs it; both ways suit two soles."""
 _LONGEST, _PATIENCE = 120.0, 3.0
 """Longest time of a climb [s], and of a dynamic walk, as a multiple of the planned one."""
+_STIFFER = 8.0
+"""Servo stiffness as a multiple of m g h that may cure a walk where the description gives none."""
 _FIRST = 10
 """Steps of a dynamic walk, before the whole one, of a robot that cannot do the standing walk: many wait in each."""
 _COMPLIES, _SHORTER = 0.4, 0.7
@@ -150,11 +152,12 @@ def dynamic_walks(
     standing: Mapping[str, Any],
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk the dynamic walk in physics; if it falls or its report is not OK, try four cures, one after the other.
+    """Walk the dynamic walk in physics; if it falls or its report is not OK, try five cures, one after the other.
 
-    These are more compliant legs, the same with all of the servos' lag assumed, goals ahead by all of this lag, and
-    shorter steps; the latter two with the changes of the best of the walks before. Where a walk is `late`, its legs
-    rather do not reach what it wants, and the lag of the servos is not tried.
+    These are more compliant legs, the same with all of the servos' lag assumed, goals ahead by all of this lag, stiffer
+    servos if their stiffness is a guess, and shorter steps; goals ahead and shorter steps with the changes of the best
+    of the walks before. Where a walk is `late`, its legs rather do not reach what it wants, and neither lag nor
+    stiffness of the servos is tried.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
@@ -191,11 +194,16 @@ def dynamic_walks(
         "gait.steps": math.ceil(gait.steps / _SHORTER),
     }
     none: dict[str, Any] = {}
+    guessed = any(entry.what == "servo.stiffness" and entry.confidence == "guess" for entry in found.entries)
+    stiffness = rounded(_STIFFER * found.numbers.mgh)
+    same = {"servo.stiffness": stiffness, "servo.assumed_stiffness": stiffness}
+    stiffer = same if guessed and not servo.types and stiffness > servo.stiffness else none
     tried = (
         ("", none),
         (f"more compliant legs ({_COMPLIES:g} times servo.window)", complies),
         ("these legs, and all of the servos' lag assumed (servo.assumed)", {**complies, **lag} if lag else none),
         ("goals ahead by all of the servos' lag (servo.assumed_lead)", ahead),
+        (f"stiffer servos ({_STIFFER:g} m g h, servo.stiffness)", stiffer),
         (f"shorter steps ({_SHORTER:g} times gait.step_length)", shorter),
     )
     entries, walks = changed(found.entries, standing, "changed after a standing walk that ended early"), list[Trial]()
@@ -353,7 +361,7 @@ def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterato
     Changes for the causes `found` are first, in their order.
     """
     servo, standing = config.servo, config.standing
-    stiffness = rounded(8.0 * numbers.mgh)
+    stiffness = rounded(_STIFFER * numbers.mgh)
 
     def damped(stiffness: float) -> dict[str, Any]:
         damping = numbers.damping(stiffness, 0.8, servo.armature)
@@ -362,7 +370,7 @@ def cures(config: Config, numbers: Numbers, found: Sequence[Finding]) -> Iterato
     known: dict[str, tuple[str, dict[str, Any]]] = {
         "damping": ("a damping ratio of 0.8", damped(servo.stiffness)),
         "stiffness": (
-            "a stiffness of 8 m g h, a damping ratio of 0.8",
+            f"a stiffness of {_STIFFER:g} m g h, a damping ratio of 0.8",
             {"servo.stiffness": stiffness, "servo.assumed_stiffness": stiffness, **damped(stiffness)},
         ),
         "pressure": (

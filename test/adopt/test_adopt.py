@@ -308,14 +308,14 @@ LATE = replace(FELL, late=True)
         ([FINE], (), (1.0, 0.75, 0.7, 1.0)),
         ([BESIDE, FINE], (), (0.4, 0.75, 0.7, 1.0)),
         ([BESIDE, FELL, FINE], (), (0.4, 1.0, 0.7, 1.0)),
-        ([FELL, BESIDE, BESIDE, BESIDE, BESIDE], (), (0.4, 0.75, 0.7, 1.0)),
+        ([FELL, *[BESIDE] * 5], (), (0.4, 0.75, 0.7, 1.0)),
         ([BESIDE, FELL, FELL, FINE], (), (1.0, 1.0, 1.0, 1.0)),
-        ([BESIDE, FELL, FELL, BESIDE, BESIDE], (), (1.0, 0.75, 0.7, 1.0)),
-        ([BESIDE, FELL, FELL, BESIDE, CLOSE], (), (1.0, 0.75, 0.7, 0.7)),
-        ([BESIDE, STUCK, BESIDE, BESIDE, BESIDE], (), (1.0, 0.75, 0.7, 1.0)),
-        ([BESIDE, CLOSE, FELL, FELL, FINE], (), (0.4, 0.75, 0.7, 0.7)),
-        ([BESIDE, FELL, FELL, CLOSE, FINE], ("gait.step_length",), (1.0, 1.0, 1.0, 0.7)),
-        ([BESIDE, FELL, BESIDE, FINE], ("servo.window",), (1.0, 0.75, 0.7, 0.7)),
+        ([BESIDE, FELL, FELL, *[BESIDE] * 3], (), (1.0, 0.75, 0.7, 1.0)),
+        ([BESIDE, FELL, FELL, BESIDE, BESIDE, CLOSE], (), (1.0, 0.75, 0.7, 0.7)),
+        ([BESIDE, STUCK, *[BESIDE] * 4], (), (1.0, 0.75, 0.7, 1.0)),
+        ([BESIDE, CLOSE, FELL, FELL, FELL, FINE], (), (0.4, 0.75, 0.7, 0.7)),
+        ([BESIDE, FELL, FELL, CLOSE, FELL, FINE], ("gait.step_length",), (1.0, 1.0, 1.0, 0.7)),
+        ([BESIDE, FELL, BESIDE, FELL, FINE], ("servo.window",), (1.0, 0.75, 0.7, 0.7)),
         ([LATE, LATE, FINE], (), (1.0, 0.75, 0.7, 0.7)),
         ([BESIDE, LATE, LATE], (), (1.0, 0.75, 0.7, 1.0)),
     ],
@@ -342,6 +342,21 @@ def test_the_best_of_the_dynamic_walks_is_written_and_no_value_given_by_the_user
     assert changed == pytest.approx(factors, rel=0.03)
     far = (after.gait.steps - after.dynamic.ramp) * after.gait.step_length
     assert 3.2 <= far < 3.4
+
+
+@pytest.mark.parametrize("known", ["", "servo.stiffness", "servo.types"])
+def test_a_stiffness_that_is_a_guess_may_be_larger(
+    known: str, small: Adoption, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = {"": {}, "servo.stiffness": {known: 60.0}, "servo.types": {known: ["*=MX-28"]}}[known]
+    found = adopt(SMALL, tmp_path / "robot", changes=given)
+    walks = iter([*[BESIDE] * 4, FINE])
+    monkeypatch.setattr(trial, "walk", lambda *_: next(walks))
+    cures = [cure for _, cure in dynamic_walks(found, given, {})]
+    assert ("stiffer servos (8 m g h, servo.stiffness)" in cures) == (not known)
+    servo = load(tmp_path / "robot" / "dynamic.yaml").servo
+    assert servo.stiffness == servo.assumed_stiffness or known
+    assert (servo.stiffness == pytest.approx(8.0 * found.numbers.mgh, rel=0.01)) == (not known)
 
 
 def test_a_robot_that_waits_in_its_first_steps_does_not_walk_on(
