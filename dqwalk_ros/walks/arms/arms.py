@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,20 +28,41 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError, StateError
 from dqwalk_ros.support.wording import listed, shown
-from dqwalk_ros.walks.arms.arrival import OF_HAND, OF_JOINT, PATIENCE, Approach
-from dqwalk_ros.walks.arms.hand import Hand
 from dqwalk_ros.walks.arms.paths import JointPath, Limits, checked
 from dqwalk_ros.walks.arms.priority import Priority
-from dqwalk_ros.walks.arms.tasks import Beside, HandInTrunk, parts
+from dqwalk_ros.walks.arms.tasks import Beside, Hand, HandInTrunk, parts
 
 _LOOSE = 0.03
 """Factor of the errors of joints whose hand follows a pose: their posture decides what the pose leaves free."""
 _LONGEST_WAIT = 60.0
 """Largest time from the last state to the beginning of a trajectory [s]: a longer one is that of another clock."""
+_PATIENCE = 2.0
+"""Time without progress after which a hand or joint has stopped short of where it was sent [s]."""
+_OF_HAND, _OF_JOINT = 0.005, 0.02
+"""Least progress of a hand [m] and of a joint [rad] towards where it was sent (`_Approach.enough`)."""
 _UNPROTECTED = (
     "nothing keeps the arms from the body: collision.pairs has no link of an arm; `dqwalk config FILE --capsules` "
     "prints pairs and capsules"
 )
+
+
+@dataclass
+class _Approach:
+    """Whether something comes closer to where it was sent."""
+
+    enough: float
+    """Least progress within `_PATIENCE`, and half of the distance that counts as arrived [m, rad]."""
+    least: float = math.inf
+    since: float = math.nan
+    told: bool = False
+
+    def stops(self, time: float, distance: float) -> bool:
+        """Return True once, at the first state at which it has stopped at a distance [m, rad]."""
+        if distance < self.least - self.enough:
+            self.least, self.since = distance, time
+        stopped = distance > 2.0 * self.enough and time - self.since > _PATIENCE and not self.told
+        self.told |= stopped
+        return stopped
 
 
 class Arms:
@@ -105,7 +127,7 @@ class Arms:
         self._base: Foot | None = None
         self._time, self._q = math.nan, self._posture  # of the last state [s, rad]
         self._given_up = set[int]()  # joints that hold still, by the place in `names`
-        self._approaches: dict[str, Approach] = {}  # of hands and joints with a command
+        self._approaches: dict[str, _Approach] = {}  # of hands and joints with a command
         self._news = [] if apart else [_UNPROTECTED]
         size = len(self._joints)
         self._numbers = {foot: np.zeros(size * (model.n + 5)) for foot in Foot}
@@ -169,7 +191,7 @@ class Arms:
             if path.times[0] > 0.0:
                 path = path.beginning_at(float(self._q[place]))
             self._paths[place] = path, self._time if begin is None else begin
-            self._approaches[self.names[place]] = Approach(OF_JOINT)
+            self._approaches[self.names[place]] = _Approach(_OF_JOINT)
         self._asked = []
         q, dq, swing, factor = self._posture.copy(), np.zeros(len(self._joints)), self._swing, np.ones(len(self.names))
         self._set_paths(q, dq)
@@ -208,7 +230,7 @@ class Arms:
     def _note(self, what: str, distance: float, unit: str) -> None:
         """Note, once for each command, that a hand or joint has stopped before it is where it was sent."""
         if self._approaches[what].stops(self._time, distance):
-            pressed = self._time - self._priority.pressed < PATIENCE
+            pressed = self._time - self._priority.pressed < _PATIENCE
             why = f"the body is in the way ({self._priority.by})" if pressed else "it is out of reach"
             self._news.append(f"{what} stops {distance:.2g} {unit} from where it was sent: {why}")
 
@@ -234,7 +256,7 @@ class Arms:
         self._given_up |= {*arm.tolist()}
         for one in arm.tolist():
             self._paths[one] = JointPath(np.zeros(1), self._q[[one]]), self._time
-            self._approaches[self.names[one]] = Approach(OF_JOINT)
+            self._approaches[self.names[one]] = _Approach(_OF_JOINT)
         self._news.append(
             f"{self.names[place[0]]} does not follow: its arm holds still where it is; something blocks it"
         )
@@ -339,7 +361,7 @@ class Arms:
         elif pose is not None and self._base is None:
             raise StateError("the walk has not begun, so it has no place on the ground")
         hand.pose, hand.fixed, hand.since = pose, not frame, math.nan
-        self._approaches[f"the {side} hand"] = Approach(OF_HAND)
+        self._approaches[f"the {side} hand"] = _Approach(_OF_HAND)
         self._release(hand.joints)
 
     def _end_poses(self, places: Iterable[int]) -> None:
