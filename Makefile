@@ -29,6 +29,16 @@ endif
 # without cached bytecode each of the many processes that the tests start compiles the package anew
 unexport PYTHONDONTWRITEBYTECODE
 
+# one target after the other, also with -j: they install into the same folder
+.NOTPARALLEL:
+
+# the programs in a copied folder are those of the original, and run its code
+ifneq ($(filter-out help clean,$(MAKECMDGOALS)),)
+ifneq ($(shell grep -s '^command = ' $(VENV)/pyvenv.cfg | grep -vF ' $(abspath $(VENV))'),)
+$(error $(VENV) was made in another folder: rm -rf $(VENV), then make again)
+endif
+endif
+
 .DEFAULT_GOAL := help
 .PHONY: help venv walk walk-physics simulate reach test test-long browser docs chaos fuzz mutation soak driver evidence robots benchmark see lint colcon clean
 
@@ -106,7 +116,7 @@ clean:  ## remove .venv and everything that was built or recorded
 	rm -rf $(VENV) build install log results dqwalk_ros.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-$(BIN)/python:
+$(BIN)/pip:
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(None if v >= (3, 11) else \
 	    "Python 3.11 or newer is needed, $(PYTHON) is %d.%d: make PYTHON=python3.12 ..." % v)'
 	@[ '$(NATIVE)' = yes ] || $(PYTHON) -c 'import platform, sys; sys.exit(None if \
@@ -122,10 +132,10 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
 
 # what a target needs: the package and ROS 2, or those and an extra of setup.py
-$(VENV)/.installed: setup.py | $(BIN)/python
+$(VENV)/.installed: setup.py | $(BIN)/pip
 	$(BIN)/python -m pip install --editable '.$(if $(ROS_EXTRA),[ros])'
 	@touch $@
 
-$(VENV)/.installed-%: setup.py | $(BIN)/python
+$(VENV)/.installed-%: setup.py | $(BIN)/pip
 	$(BIN)/python -m pip install --editable '.[$(ROS_EXTRA)$*]'
 	@touch $@ $(VENV)/.installed

@@ -362,6 +362,39 @@ def test_make_says_what_to_do_without_wheels_of_ros(tmp_path: Path) -> None:
     assert "--editable '.[commands]'" in done.stdout
 
 
+STAND_IN = """#!/bin/bash
+# instead of python: it makes an environment whose pip bears no second one at the same time
+case "$*" in
+    *"-m venv"*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" && echo "command = x -m venv $PWD/$3" > "$3/pyvenv.cfg"
+         touch "$3/bin/pip" ;;
+    *"-m pip"*) mkdir pip && sleep 0.2 && rmdir pip ;;
+esac
+"""
+
+
+def test_make_mends_half_an_environment_and_notices_that_of_another_folder(tmp_path: Path) -> None:
+    """The programs in a copied folder would run the code of the original; with -j one pip runs at a time."""
+    (first := tmp_path / "first").mkdir()
+    for name in ("Makefile", "setup.py"):
+        shutil.copy(ROOT / name, first)
+    (tmp_path / "python").write_text(STAND_IN)
+    (tmp_path / "python").chmod(0o755)
+
+    def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+        command = ["make", *words, f"PYTHON={tmp_path / 'python'}"]
+        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+    both = [f".venv/.installed-{name}" for name in ("sim", "drake")]
+    assert make(first, "-j8", *both).returncode == 0
+    (first / ".venv/bin/pip").unlink()  # the environment was interrupted while it was made
+    (first / both[0]).unlink()
+    assert make(first, both[0]).returncode == 0
+    assert (first / ".venv/bin/pip").exists()
+    shutil.copytree(first, tmp_path / "copy")
+    assert "*** .venv was made in another folder: rm -rf .venv, then make" in make(tmp_path / "copy", "lint").stderr
+    assert make(tmp_path / "copy").stdout.startswith("usage: make TARGET")
+
+
 def test_the_aggregator_lists_every_status() -> None:
     import yaml
 
