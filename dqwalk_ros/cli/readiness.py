@@ -100,11 +100,17 @@ def _check_states(config: Config, model: RobotModel, heard: Heard) -> str:
 
 def _check_joint_names(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that every joint of the walk is measured."""
+    reader = ros.JointReader(model.joint_names)
+    for msg, _ in heard.states[:-1]:
+        with contextlib.suppress(StateError):
+            reader.state(msg)
     try:
-        heard.angles(model)
+        velocities = reader.state(heard.states[-1][0]).dq
     except StateError as error:
-        raise _Failed(f"{error}: name the joints as {model.name} does, or lock them with robot.lock") from error
-    velocities = ros.JointReader(model.joint_names).state(heard.states[-1][0]).dq
+        raise _Failed(
+            f"{error}: name the joints as {model.name} does, merge them into one message (joint_state_publisher with a "
+            "source_list), or lock them with robot.lock"
+        ) from error
     return f"all {model.n}" + (
         "; no measured velocities, so they are computed by differences" if velocities is None else ""
     )

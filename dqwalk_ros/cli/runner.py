@@ -17,10 +17,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 from dqwalk_ros.config import Config, to_yaml
 from dqwalk_ros.plants.table import entry
@@ -276,11 +276,12 @@ class Processes:
         self._readers[name] = threading.Thread(target=self._read, args=(name, process.stdout), daemon=True)
         self._readers[name].start()
 
-    def _read(self, name: str, output: Iterable[str]) -> None:
-        for text in output:
-            with contextlib.suppress(json.JSONDecodeError):
-                self.reports[name] = json.loads(text)
-            self._reported.set()
+    def _read(self, name: str, output: IO[str]) -> None:
+        with output:
+            for text in output:
+                with contextlib.suppress(json.JSONDecodeError):
+                    self.reports[name] = json.loads(text)
+                self._reported.set()
         self._reported.set()
 
     def wait_for_report(self, timeout: float) -> None:

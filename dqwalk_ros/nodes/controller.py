@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 
 from dqwalk_ros.config import Config
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes import wheels
 from dqwalk_ros.nodes.answering import AnsweringNode, Fields
 from dqwalk_ros.nodes.arms import ArmInput
 from dqwalk_ros.nodes.fall_watch import FallWatch
@@ -26,6 +27,7 @@ from dqwalk_ros.nodes.inertial_sensor import InertialSensor
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phase_publisher import PhasePublisher
 from dqwalk_ros.nodes.plant_readiness import PlantReadiness
+from dqwalk_ros.nodes.safety import FirstPublisher
 from dqwalk_ros.nodes.steering import Steering
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
@@ -133,8 +135,11 @@ class Controller(AnsweringNode):
         self._first_base: Foot | None = None  # its sole is the frame odom
         self._show_phase()
 
+        self._source = FirstPublisher(lambda: self.config.plant.command_timeout, self.steady)
         # In real time only the newest state is of use; in lockstep every state must arrive.
-        self.listen(JointState, "joint_states", self._on_state, 1 if self.lockstep else ros.best_effort(1))
+        self.listen(
+            JointState, "joint_states", wheels.numbered(self._on_state), 1 if self.lockstep else ros.best_effort(1)
+        )
         self._plant = PlantReadiness(self, self._end_in_a_stance)
         self._imu = (
             InertialSensor(self, self._model.imu_link, self._gate.inertial, self._take) if config.plant.imu else None
@@ -158,9 +163,12 @@ class Controller(AnsweringNode):
 
     # ------------------------------------------------------------------ the loop
 
-    def _on_state(self, msg: JointState) -> None:
-        if not self._names_none(msg):
-            self._plants.note(msg.name, ros.nanoseconds(msg.header.stamp))
+    def _on_state(self, msg: JointState, number: int) -> None:
+        if self._names_none(msg):
+            return
+        self._plants.note(msg.name, ros.nanoseconds(msg.header.stamp))
+        of_one = self.lockstep or not self._reader.is_whole(msg)
+        if of_one or not self._source.is_another(number):
             self._take(msg)
 
     def _take(self, msg: JointState) -> None:

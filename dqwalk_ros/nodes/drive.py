@@ -20,10 +20,11 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes import wheels
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.command_input import CommandInput
 from dqwalk_ros.nodes.robot_controllers import RobotControllers
-from dqwalk_ros.nodes.safety import ClockSteps
+from dqwalk_ros.nodes.safety import ClockSteps, FirstPublisher
 from dqwalk_ros.plants.robot_output import commanded_joints, output_topic
 from dqwalk_ros.plants.servo_goals import JUMPS, ServoGoals
 from dqwalk_ros.robot.limits import outside_limits
@@ -102,6 +103,7 @@ class RobotDrive(WalkNode):
         self._commands = CommandInput(self, self._model)
         self._commands.unable = "starting"
         self._reader = ros.JointReader(self._joints)
+        self._source = FirstPublisher(lambda: self.config.plant.command_timeout, self.steady)
         self._time, self._clock_was = 0.0, math.inf
         self._law = ServoGoals.of(config, self._model, lambda: self.config.plant.command_timeout)
         self._recent: deque[Array] = deque(maxlen=JUMPS)  # measured angles of all joints (N,) [rad]
@@ -115,18 +117,21 @@ class RobotDrive(WalkNode):
         self._led, self._holds, self._next = np.zeros((3, len(own)))  # by velocity: see `_lead_to`
         self._rejected, self._invalid = 0, ""  # states, and why the first one since the last valid one
         self.offer("~/reset", self._reset)
-        self.listen(JointState, "joint_states", self._on_state, ros.best_effort(1))
+        self.listen(JointState, "joint_states", wheels.numbered(self._on_state), ros.best_effort(1))
         self.create_subscription(JointState, VELOCITY, self._on_command, 1)
         self.create_timer(_CHECK, self._check)
         self.create_timer(1.0 / config.monitor.rate, self._diagnose)
         description = f"{len(self._joints)} joints on {self._output.topic_name}, {o.interface} as {o.type}"
         self.get_logger().info(f"{self._model.name}: {description}")
 
-    def _on_state(self, msg: JointState) -> None:
+    def _on_state(self, msg: JointState, number: int) -> None:
         if self._reader.is_foreign(msg):
             return
         try:
             q = self._reader.state(msg).q
+            if self._source.is_another(number):
+                others = ", ".join(ros.publishers_of(self, "joint_states"))
+                raise StateError(f"overtaken by another one, or of a second publisher: {others} publish them")
             if outside := outside_limits(q[self._own], self._model, self.config.safety.outside):
                 raise StateError(f"outside the joint limits: {outside}")
         except StateError as error:

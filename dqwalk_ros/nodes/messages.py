@@ -171,6 +171,10 @@ class JointReader:
             effort = self._order(msg.name, msg.effort, "effort", finite=False)
         return State(time=nanoseconds(msg.header.stamp) * 1e-9, q=q, dq=dq, effort=effort)
 
+    def is_whole(self, msg: JointState) -> bool:
+        """Return whether a message names all joints of the model."""
+        return self._order.joints.issubset(msg.name)
+
     def is_foreign(self, msg: JointState) -> bool:
         """Return whether a message has joints, but none of the model, such as that of a gripper."""
         return bool(msg.name) and self._order.joints.isdisjoint(msg.name)

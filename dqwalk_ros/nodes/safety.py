@@ -33,6 +33,7 @@ class JointOrder:
         self._joints = tuple(joint_names)
         self.joints = frozenset(joint_names)
         self._names: list[str] = []
+        self._seen = set[str]()  # joints that any message has named
         self._index: NDArray[np.intp] | None = None
 
     def __call__(self, names: Sequence[str], values: ArrayLike, what: str, *, finite: bool = True) -> Array:
@@ -58,9 +59,12 @@ class JointOrder:
 
     def _order(self, names: Sequence[str]) -> NDArray[np.intp]:
         place = {name: i for i, name in enumerate(names)}
+        self._seen |= self.joints & place.keys()
         if missing := [joint for joint in self._joints if joint not in place]:
             extra = [name for name in names if name not in self._joints]
             also = f"; it has {listed(extra)}, which are not in the model" if extra else ""
+            if self._seen.issuperset(missing):
+                also += "; other messages have them, but one must have all"
             raise StateError(f"joints missing: {', '.join(missing)}{also}")
         if len(place) != len(names):
             seen: set[str] = set()
@@ -184,6 +188,34 @@ class DuplicatePublishers:
             return ""
         self._doubled = min(self._doubled, self._clock())
         return f"{names[0]}, {len(names)} times" if self._clock() - self._doubled > self.ghost else ""
+
+
+class FirstPublisher:
+    """Tells the messages of one publisher from those of another that has begun later on the same topic.
+
+    A message does not contain its sender, but the middleware numbers the messages of each publisher, so those of the
+    later one have smaller numbers. It is heard once the first one has been silent for a timeout.
+
+    Parameters
+    ----------
+    timeout : callable
+        Returns that time [s].
+    """
+
+    unnumbered = 2**64 - 1
+    """Number of each message where the middleware does not number them, such as Cyclone DDS."""
+
+    def __init__(self, timeout: Callable[[], float], clock: Clock) -> None:
+        self._heard = Watchdog(timeout, clock)
+        self._last = 0
+
+    def is_another(self, number: int) -> bool:
+        """Return whether the message with a number is of another publisher; if not, register it."""
+        if number <= self._last and number != self.unnumbered and not self._heard.silent:
+            return True
+        self._last = number
+        self._heard.feed()
+        return False
 
 
 class DuplicateStates:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import gc
+import inspect
 import os
 import signal
 import threading
@@ -98,6 +99,22 @@ def find_log_folder() -> None:
 def first_line(error: BaseException) -> str:
     """Return the first line of an error of rcl; the rest refers to its source code."""
     return str(error).strip().splitlines()[0]
+
+
+def numbered(callback: Callable[[Any, int], None]) -> Callable[..., None]:
+    """Return the callback of a subscription for one that gets each message and the number of its publisher for it.
+
+    rclpy finds by its signature that a callback wants to know more of a message than its content. The EventsExecutor
+    passes both as one tuple, other executors as two arguments.
+    """
+
+    def take(*given: Any) -> None:
+        msg, info = given if len(given) == 2 else given[0]
+        callback(msg, info["publication_sequence_number"])
+
+    both = [inspect.Parameter(name, inspect.Parameter.POSITIONAL_ONLY) for name in ("msg", "info")]
+    take.__signature__ = inspect.Signature(both)  # type: ignore[attr-defined]
+    return take
 
 
 def spin(node: Node, until: Callable[[], bool], *, pause: float = 0.0) -> None:

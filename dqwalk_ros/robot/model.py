@@ -28,6 +28,7 @@ from dqwalk_ros.robot.urdf_file import LARGEST
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.cache import remembered
 from dqwalk_ros.support.errors import ConfigError, ModelError
+from dqwalk_ros.support.wording import one_line
 
 if TYPE_CHECKING:
     from yourdfpy import Joint, Link
@@ -243,8 +244,10 @@ def find_urdf(urdf: str) -> pathlib.Path:
     ModelError
         If there is no such file.
     """
-    if "://" in urdf:
-        raise ModelError(f"robot.urdf is '{urdf:.200}'; it must be a path, such as one relative to the configuration")
+    if "://" in urdf or urdf.lstrip().startswith("<"):
+        raise ModelError(
+            f"robot.urdf is '{one_line(urdf)}'; it must be a path, such as one relative to the configuration"
+        )
     try:
         return find_file("robot description", urdf, "urdf", ("poppy.urdf", "hrp2_like.urdf"))
     except ConfigError as error:

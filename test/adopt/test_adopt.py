@@ -17,6 +17,7 @@ import pytest
 import trimesh
 from robots import edited
 
+from benchmark.lab import robots as robots_table
 from dqwalk_ros import cli
 from dqwalk_ros.adopt import Adoption, adopt, trial
 from dqwalk_ros.adopt.anatomy import find_anatomy
@@ -579,3 +580,25 @@ def test_the_dynamic_walk_climbs_a_step_by_touch_or_there_is_no_file_for_it(
     monkeypatch.setattr(trial, "climb_parameters", lambda *_: entries)
     assert not trial.climb(small).startswith("climb: climbed")
     assert not file.exists()
+
+
+def test_the_table_of_robots_is_printed_also_when_it_is_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a", "b", "c", "d"):
+        (tmp_path / f"{name}.urdf").touch()
+
+    def row(path: Path, out: Path) -> list[str]:
+        if path.stem == "b":
+            raise ModelError("it has one leg")
+        if path.stem == "c":
+            raise KeyboardInterrupt
+        return [path.stem, *11 * ["1"]]
+
+    monkeypatch.setattr(robots_table, "row", row)
+    monkeypatch.setattr("sys.argv", ["robots", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert robots_table.main() == 1
+    shown = capsys.readouterr().out
+    assert "interrupted: the 2 robots from c on are not in the table" in shown
+    assert "| a " in shown
+    assert "- `b.urdf`: it has one leg" in shown

@@ -270,6 +270,16 @@ def swaying(joint: str) -> Heard:
     return replace(heard, states=states)
 
 
+def halves() -> Heard:
+    heard, names = robot(), MODEL.joint_names
+    parts = [names[k::2] for k in range(2)]
+    states = [
+        (state(parts[k % 2], np.zeros(len(parts[k % 2])), EPOCH + k * CONFIG.dt), at)
+        for k, (_, at) in enumerate(heard.states)
+    ]
+    return replace(heard, states=states)
+
+
 def few_imus(every: int) -> Heard:
     heard = robot()
     return replace(heard, imus=heard.imus[::every])
@@ -278,6 +288,7 @@ def few_imus(every: int) -> Heard:
 FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     "silent": (lambda: robot(states=[], publishers=()), "states", "start the driver"),
     "another robot": (lambda: robot(names=["x", *MODEL.joint_names[1:]]), "joints", "joints missing: l_hip_x"),
+    "legs apart": (lambda: halves(), "joints", "; other messages have them, but one must have all: name the joints"),
     "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02 in a file for --params and params:="),
     "clocks": (lambda: robot(age=-3.0), "latency", "chrony"),
     "slow imu": (lambda: few_imus(15), "inertial sensor", "it measures every 0.075 s: its rate must be 20 Hz"),

@@ -278,6 +278,7 @@ def test_the_former_name_of_a_parameter_is_said_in_one_line(caplog: pytest.LogCa
     ("urdf", "expected"),
     [
         ("package://poppy/poppy.urdf", "robot.urdf is 'package://.*it must be a path"),
+        (" <robot>" + 10_000 * "<link/>", r"robot.urdf is '<robot>(<link/>){1,42}.{,9}'; it must be a path"),
         ("~/robot.urdf", r"no robot description '~/robot.urdf': no shell has replaced .* \(robot.urdf\)$"),
         ("", r"the name of the robot description is empty \(robot.urdf\)$"),
         (".", "'.' is a folder"),

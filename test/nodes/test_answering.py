@@ -64,6 +64,16 @@ def test_states_whose_stamps_do_not_advance_get_zero_once_and_are_named(make: An
     assert len([text for _, text in walk.log.lines if "they all have the stamp" in text]) == 4
 
 
+def test_states_of_a_second_publisher_are_not_answered(make: Any) -> None:
+    walk = Answered(make)
+    assert any(walk.tick())
+    for number in range(1, 4):
+        before = len(walk.sent)
+        walk.one.send("joint_states", state(NAMES, np.full(MODEL.n, 0.01), walk.now + 0.5 * CONFIG.dt), number=number)
+        assert len(walk.sent) == before
+        assert any(walk.tick())
+
+
 def test_two_plants_hold_the_robot_until_there_is_one(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     walk, publishers = Answered(make), ["/a", "/b"]
     monkeypatch.setattr(ros, "publishers_of", lambda *_: tuple(publishers))

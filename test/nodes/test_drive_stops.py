@@ -233,6 +233,23 @@ def test_one_wrong_angle_moves_nothing(make: Any, interface: str, holding: bool,
     assert not one.node._law.gate.fault
 
 
+def test_states_of_a_second_publisher_move_nothing(make: Any) -> None:
+    """Such as those of a joint_state_publisher with sliders, which joints may have reached since the last state."""
+    one = Driven(make)
+    one.tick(0.0)
+    before = one.out
+    for k in range(1, 10):
+        one.one.send("joint_states", measured(np.zeros(MODEL.n), 1.001 + one.now), number=k)
+        one.tick(0.0)
+        np.testing.assert_array_equal(one.out, before)
+    assert "joint_states rejected (1 so far): overtaken by another one, or of a second publisher" in one.log
+    for _ in range(10):
+        one.tick(0.0, states=False)
+    one.one.send("joint_states", measured(POSTURE, 1.0 + one.now), number=1)  # the first one has ended
+    one.tick(0.0, states=False)
+    assert one.node._commands.unable == ""
+
+
 def test_a_joint_that_jumps_stops_the_robot_until_reset(make: Any) -> None:
     one = Driven(make, output__interface="velocity")
     for _ in range(5):

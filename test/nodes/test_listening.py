@@ -15,6 +15,7 @@ import pytest
 import rclpy
 from inside import state, until
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -24,6 +25,7 @@ from std_msgs.msg import Bool, String
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.doctor import Doctor
+from dqwalk_ros.nodes.wheels import numbered
 from dqwalk_ros.report.bag.storage import load as load_bag
 from dqwalk_ros.robot.model import load_model
 
@@ -231,3 +233,25 @@ def test_a_plant_that_is_not_ready_is_heard_whatever_its_quality_of_service(make
     executor.remove_node(doctor)
     doctor.destroy_node()
     assert "incompatible" not in str(one.log.lines)
+
+
+@pytest.mark.parametrize("kind", [EventsExecutor, SingleThreadedExecutor])
+def test_messages_come_with_the_numbers_of_their_publishers(domain: int, kind: Any) -> None:
+    """The two executors pass them on in different ways."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node, heard = Node("listener", context=context), list[tuple[str, int]]()
+    node.create_subscription(String, "x", numbered(lambda msg, number: heard.append((msg.data, number))), 10)
+    executor: Any = kind(context=context)
+    executor.add_node(node)
+    deadline = time.monotonic() + PATIENCE
+    for name in ("first", "second"):
+        publisher = node.create_publisher(String, "x", 10)
+        while [one for one, _ in heard].count(name) < 3:
+            assert time.monotonic() < deadline
+            publisher.publish(String(data=name))
+            executor.spin_once(timeout_sec=0.05)
+    numbers = {name: [number for one, number in heard if one == name] for name in ("first", "second")}
+    assert all(found == sorted(set(found)) for found in numbers.values())
+    assert min(numbers["second"]) <= max(numbers["first"])
+    context.try_shutdown()

@@ -11,6 +11,7 @@ from dqwalk_ros.nodes.safety import (
     DuplicatePublishers,
     DuplicateStates,
     FaultCounter,
+    FirstPublisher,
     JointOrder,
     Watchdog,
 )
@@ -199,6 +200,23 @@ def test_two_publishers_are_reported_at_once_unless_one_may_be_stale(clock: Step
     assert judge(["/a", "/a"]) == "/a, 2 times"
     assert judge(["/a"]) == ""
     assert judge(["/a", "/a"]) == ""  # the time starts again
+
+
+def test_joints_in_several_messages_are_named_as_such() -> None:
+    """Such as those of a driver for each leg."""
+    order = JointOrder(["a", "b"])
+    for names, expected in ((["a"], "joints missing: b$"), (["b"], "joints missing: a; other messages have them, but")):
+        with pytest.raises(StateError, match=expected):
+            order(names, [1.0], "position")
+
+
+def test_a_message_of_another_publisher_is_told_by_its_number(clock: SteppedTime) -> None:
+    source = FirstPublisher(lambda: 0.1, clock)
+    assert [source.is_another(number) for number in (50, 51, 1, 55, 2, 54)] == [False, False, True, False, True, True]
+    clock.now += 0.2
+    assert not source.is_another(3)  # the first one has ended
+    assert not source.is_another(4)
+    assert [source.is_another(FirstPublisher.unnumbered) for _ in range(3)] == [False] * 3
 
 
 def test_a_second_plant_is_detected_by_its_messages() -> None:

@@ -129,6 +129,16 @@ def test_a_state_stamped_five_seconds_ahead_is_left_out(trace, path, tmp_path):
     assert back.finished
 
 
+def test_states_of_one_stamp_are_no_walk(trace, path, tmp_path):
+    """All but one had been dropped, and this one state was reported as a walk that is OK as far as it is recorded."""
+
+    def change(_number, message):
+        message.header.stamp.sec = message.header.stamp.nanosec = 0
+
+    with pytest.raises(BagError, match=f"all {len(trace)} joint_states have the stamp 0 s; header.stamp must be"):
+        bag.read(edited(path, tmp_path / "b", "/joint_states", change))
+
+
 def test_a_stamp_in_the_future_does_not_set_the_recorder_time():
     from dqwalk_ros.nodes.recorder import WalkTime
 

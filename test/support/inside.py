@@ -20,6 +20,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from stepped_time import SteppedTime
 
@@ -126,7 +127,7 @@ class Inside:
             def get_logger(self) -> Any:
                 return log
 
-        self._domain = domain
+        self._domain, self._number = domain, 0
         self._foreign: list[tuple[Context, Node]] = []
         self._beside: list[Node] = []
         self.context = Context()
@@ -140,13 +141,19 @@ class Inside:
             self.context.try_shutdown()
             raise
 
-    def send(self, topic: str, msg: Any) -> None:
-        """Pass a message to the callbacks of the subscriptions of a topic."""
+    def send(self, topic: str, msg: Any, number: int | None = None) -> None:
+        """Pass a message to the callbacks of the subscriptions of a topic.
+
+        `number` is the one that the middleware gives it; by default each message follows the last one.
+        """
+        self._number = self._number + 1 if number is None else number
+        info = {"publication_sequence_number": self._number}
         name = self.node.resolve_topic_name(topic)
         found = [one for one in self.node.subscriptions if one.topic_name == name]
         assert found, f"no subscription to {name}"
         for subscription in found:
-            subscription.callback(msg)
+            with_info = subscription._callback_type is Subscription.CallbackType.WithMessageInfo
+            subscription.callback(msg, info) if with_info else subscription.callback(msg)
 
     def follow(self, walk: Inside) -> None:
         """Pass on what a controller has published of its walk, robot and phase."""

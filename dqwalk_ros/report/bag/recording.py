@@ -103,6 +103,11 @@ def open_recording(
         since = columns["joint_states"].order[states.rows[begin]]
         columns = {name: column.since(since) for name, column in columns.items()}
     stamps, first = np.unique(states.stamps[rows], return_index=True)
+    if len(stamps) == 1 < len(rows):
+        raise BagError(
+            f"'{path}': all {len(rows)} joint_states have the stamp {stamps[0] / NS:g} s; "
+            "header.stamp must be the time of the measurement, a new one for each state"
+        )
     return Recording(path, columns, config, model, states, rows[first], stamps, origin, notes, tuned, content.cut)
 
 
