@@ -342,7 +342,7 @@ class Controller(AnsweringNode):
             if self._gate.fault:
                 return False, f"{self._gate.fault}; call ~/reset first"
             if self._plant.warning:
-                return False, f"the plant warns: {self._plant.warning}"
+                return False, f"the plant warns: {self._plant.warning}; an empty text on plant_warning withdraws it"
             self._controller.pause(False)
             self._mode, self._pausing = Mode.WALKING, False
             self._show_phase()
@@ -454,7 +454,7 @@ class Controller(AnsweringNode):
         if math.isfinite(drive.delay):
             values |= {"excess delay": drive.delay, "stiffness ratio": drive.stiffness}
         feet = self._feet.warning if self._feet is not None else ""
-        plant = f"the plant warns: {self._plant.warning}" if self._plant.warning else ""
+        plant = self._plant.condition(walking=self._is_walking)
         gate = self._gate.inertial.warning, self._gate.velocities.wrong.reason
         warning = "; ".join(filter(None, [plant, *drive.warnings(), *gate, feet]))
         return "WARN" if warning else "OK", warning or self._label, values

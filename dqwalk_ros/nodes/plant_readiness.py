@@ -19,6 +19,8 @@ _MOVED = 0.1
 _LEFT_ALONE = 1.0
 """Longest time for which the plant may be not ready whatever the joints do: they come to rest where they hold [s]."""
 
+_WAITS = "standing still until the plant is ready"
+
 
 class PlantReadiness:
     """Input of plant_ready, of the liveliness of its publisher, and of plant_warning.
@@ -37,7 +39,7 @@ class PlantReadiness:
     """
 
     def __init__(self, node: WalkNode, warned: Callable[[str], None]) -> None:
-        self._logger, self._warned = node.get_logger(), warned
+        self._node, self._logger, self._warned = node, node.get_logger(), warned
         self.ready = self._says_ready = True  # now, and by its last message
         self.warning = ""
         self._left_at: State | None = None  # at which the plant has interrupted the walk
@@ -61,7 +63,7 @@ class PlantReadiness:
     def _wait(self, ready: bool, why: str) -> None:
         if ready != self.ready:
             self.ready = ready
-            self._logger.info("the plant is ready" if ready else f"{why}standing still until the plant is ready")
+            self._logger.info("the plant is ready" if ready else f"{why}{_WAITS}")
 
     def _on_warning(self, msg: String) -> None:
         before, self.warning = self.warning, one_line(msg.data)
@@ -70,6 +72,13 @@ class PlantReadiness:
         if not before and self.warning:
             self._logger.warning(f"the plant warns: {self.warning}")
             self._warned(self.warning)
+
+    def condition(self, *, walking: bool) -> str:
+        """Return that a walk waits for its plant, and for which one if several say so, or that it warns; or ""."""
+        if self.ready or not walking:
+            return f"the plant warns: {self.warning}" if self.warning else ""
+        several = ros.publishers_of(self._node, "plant_ready")
+        return _WAITS + (f", which {' and '.join(several)} say" if len(several) > 1 else "")
 
     def moved(self, state: State, *, begun: bool) -> tuple[int, float] | None:
         """Return the joint that was moved too far while the plant interrupted a walk, and by how much [rad], or None.

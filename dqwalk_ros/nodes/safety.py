@@ -66,9 +66,7 @@ class JointOrder:
             if self._seen.issuperset(missing):
                 also += "; other messages have them, but one must have all"
             raise StateError(f"joints missing: {', '.join(missing)}{also}")
-        if len(place) != len(names):
-            seen: set[str] = set()
-            doubled = {name for name in names if name in seen or seen.add(name)}  # type: ignore[func-returns-value]
+        if len(place) != len(names) and (doubled := {name for name in self.joints if names.count(name) > 1}):
             raise StateError(f"joints named twice: {listed(doubled)}")
         return np.array([place[joint] for joint in self._joints], np.intp)
 

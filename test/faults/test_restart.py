@@ -154,7 +154,10 @@ def test_a_walk_ends_in_a_stance_when_the_plant_warns_and_none_begins(make: Any,
     assert not any(node.got["joint_velocity_commands"][-1].velocity)
     node.tick()
     refused = call("start")
-    assert (refused.success, refused.message) == (False, "the plant warns: l_knee_y is at 61 degC")
+    assert (refused.success, refused.message) == (
+        False,
+        "the plant warns: l_knee_y is at 61 degC; an empty text on plant_warning withdraws it",
+    )
     node.send("plant_warning", String(data=""))
     assert call("start").success
     walk(lambda: any(node.got["joint_velocity_commands"][-1].velocity))

@@ -9,6 +9,7 @@ import pytest
 from inside import state, values
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load
@@ -108,6 +109,18 @@ def test_states_that_time_out_get_zero_once(make: Any) -> None:
     walk.one.clock.now += 0.11
     walk.node._check_timeout()
     assert not any(walk.sent[-1].velocity)  # after each timeout
+
+
+def test_a_walk_that_waits_for_its_plant_says_so(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also if a node that is no plant has said that it is not ready, such as a bag that is played."""
+    walk = Answered(make)
+    assert any(walk.tick())
+    assert walk.status.level == b"\x00"
+    walk.one.send("plant_ready", Bool(data=False))
+    assert not any(walk.tick())
+    assert (walk.status.level, walk.status.message) == (b"\x01", "standing still until the plant is ready")
+    monkeypatch.setattr(ros, "publishers_of", lambda *_: ("/drive", "/player"))
+    assert walk.status.message.endswith("ready, which /drive and /player say")
 
 
 def test_before_the_first_state_it_says_what_it_waits_for(make: Any) -> None:

@@ -29,6 +29,7 @@ PERIOD = 5 * MS
 def test_joints_are_matched_by_name_in_any_order() -> None:
     order = JointOrder(["a", "b"])
     np.testing.assert_array_equal(order(["b", "head", "a"], [2.0, 9.0, 1.0], "position"), [1.0, 2.0])
+    np.testing.assert_array_equal(order(["b", "grip", "a", "grip"], [2.0, 9.0, 1.0, 8.0], "position"), [1.0, 2.0])
     np.testing.assert_array_equal(order(["a", "b"], [3.0, 4.0], "position"), [3.0, 4.0])
 
 
