@@ -159,7 +159,7 @@ class PoppyDriver(WalkNode):
     def _hold_for_a_reason(self) -> None:
         """Hold while a fault or a missing torque prevents motion."""
         plant = self._plant
-        reason = "; ".join(plant.watch.faults.values())
+        reason = plant.watch.fault
         if reason and plant.active and not plant.ready:
             self.get_logger().warning(f"not moving to the first pose: {reason}", **throttled())
         if not reason and not plant.active:
@@ -228,7 +228,7 @@ class PoppyDriver(WalkNode):
             each |= {"hottest motor": hottest, "hottest temperature": heat[hottest]}
             state = f"{hottest} is hottest, {heat[hottest]:.0f} degC"
         level = "ERROR" if faults else "WARN" if plant.warning else "OK"
-        text = "; ".join(faults.values()) or plant.warning or state
+        text = plant.watch.fault or plant.warning or state
         self.diagnose("motors", self._hardware, level, text, each, stamp)
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from dqwalk_ros.config import PoppyConfig
 from dqwalk_ros.plants.poppy.dynamixel import Registers
-from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part
+from dqwalk_ros.plants.poppy.motor_watch import Measured, MotorWatch, Part, _joined
 from dqwalk_ros.plants.servo_goals import JUMPS
 
 NAMES = ("hip", "knee", "ankle")
@@ -238,6 +238,12 @@ def test_the_voltage_is_low_at_its_second_reading_below_the_limit_until_it_is_ha
     assert "too little" in motors.look_after(0, voltage=below)["voltage/hip"]
     assert motors.look_after(0, voltage=LOW + 0.4)
     assert not motors.look_after(0, voltage=LOW + 0.5)
+
+
+def test_what_is_said_of_several_joints_is_said_once() -> None:
+    """A weak battery is that of every motor."""
+    found = {"torque/a": "a has lost its torque", "hot/b": "b is at 71 degC", "hot/c": "c is at 72 degC", "x": "y"}
+    assert _joined(found) == "a has lost its torque; b is at 71 degC (also c); y"
 
 
 def test_the_voltage_error_of_a_motor_counts_as_low_voltage(motors: Motors) -> None:

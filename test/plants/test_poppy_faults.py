@@ -26,7 +26,7 @@ from dqwalk_ros.plants.poppy.emulated_servos import EmulatedPort, EmulatedServo
 from dqwalk_ros.support.errors import PlantError
 
 KNEE = MOTORS["l_knee_y"].id
-READ, SYNC_WRITE = 2, 0x83
+READ, SYNC_WRITE, SYNC_READ = 2, 0x83, 0x84
 STEP = 0.003
 """Two encoder steps of an MX, and more than half a step of an AX, which the head has [rad]."""
 
@@ -539,10 +539,20 @@ def test_motors_that_are_missing_at_start_are_named() -> None:
 
 
 def test_a_motor_without_a_valid_angle_at_start_is_named() -> None:
-    rig = Rig(sync_read=False)
+    rig = Rig(sync_read=False, settings={"poppy.sync_read": False})
     rig.plant.close()
     rig.memory.of("l_knee_y").drop_reply = lambda packet: packet[2] == KNEE and packet[4] == READ and packet[5] > 0
-    with pytest.raises(PlantError, match=r"no valid angle from l_knee_y$"):
+    with pytest.raises(PlantError, match=r"no valid angle from l_knee_y: does not answer$"):
+        rig.opened()
+
+
+def test_an_adapter_that_knows_no_sync_read_is_named() -> None:
+    """Such as an FTDI or a U2D2: each servo answers alone."""
+    rig = Rig()
+    rig.plant.close()
+    for bus in rig.memory.servos.values():
+        bus.drop_reply = lambda packet: packet[4] == SYNC_READ
+    with pytest.raises(PlantError, match=r"no valid angle from .*: does not answer; any adapter but a USB2AX needs"):
         rig.opened()
 
 

@@ -91,8 +91,9 @@ class MotorBuses:
                     wrong.append(f"{motor.name} ({motor.id}) {text}")
         if silent:
             raise PlantError(
-                f"the motors do not answer: {', '.join(silent)}; is the robot on, and are both buses plugged in? "
-                "(poppy.dummy:=true tries the driver without a robot)"
+                f"the motors do not answer: {', '.join(silent)}; is the robot on, is each bus on its port "
+                "(poppy.lower_port, poppy.upper_port), has an FTDI or U2D2 a latency timer of 1 ms, and no adapter an "
+                "echo? (poppy.dummy:=true tries the driver without a robot)"
             )
         if wrong:
             raise PlantError(f"the motors are not those of the table '{table}': {', '.join(wrong)}")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import math
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -156,7 +157,8 @@ def open_port(name: str) -> Any:
     try:
         port.openPort()
     except OSError as error:
-        raise OSError(f"{name}: {_REFUSED.get(error.errno or 0, str(error))}") from error
+        why = _REFUSED.get(error.errno or 0) or (os.strerror(error.errno) if error.errno else str(error))
+        raise OSError(f"{name}: {why}") from error
     return port
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from dqwalk_ros.config import PoppyConfig
 from dqwalk_ros.plants.poppy.dynamixel import DAMAGED, ERROR_BITS, FULL_TORQUE, SILENT, UNSENT, DynamixelBus, Registers
 from dqwalk_ros.plants.servo_goals import JUMPS
 from dqwalk_ros.support.arrays import Array, Mask
+from dqwalk_ros.support.wording import listed, without_numbers
 
 _BRIEF = 1.0
 """Longest timeout after which the motion continues; after a longer one an operator must activate the robot [s]."""
@@ -73,6 +75,15 @@ class _Limit(NamedTuple):
     alarm: bool = False
 
 
+def _joined(messages: Mapping[str, str]) -> str:
+    """Return messages, by kind and joint, in one text, with one for all joints of which the same is said."""
+    alike: dict[str, tuple[str, list[str]]] = {}
+    for key, text in messages.items():
+        name = key.rpartition("/")[2]
+        alike.setdefault(without_numbers(text.removeprefix(name)), (text, []))[1].append(name)
+    return "; ".join(text + (f" (also {listed(more)})" if more else "") for text, (_, *more) in alike.values())
+
+
 class MotorWatch:
     """Detects faults of the motors after each reading.
 
@@ -111,6 +122,16 @@ class MotorWatch:
     def faults(self) -> dict[str, str]:
         """Messages of all faults."""
         return self.passing | self.lasting
+
+    @property
+    def fault(self) -> str:
+        """All faults in one text; or empty."""
+        return _joined(self.faults)
+
+    @property
+    def warning(self) -> str:
+        """All warnings in one text; or empty."""
+        return _joined(self.warnings)
 
     def forget(self) -> None:
         """Clear the lasting faults, when the torque is switched on or off."""

@@ -247,7 +247,7 @@ class PoppyPlant(Plant):
     @property
     def warning(self) -> str:
         """Why the walk should end, before a fault holds the joints in mid-step; or empty."""
-        return "; ".join(self.watch.warnings.values())
+        return self.watch.warning
 
     @property
     def stiff(self) -> bool:
@@ -309,10 +309,10 @@ class PoppyPlant(Plant):
         self._gate.forgive()
         for _ in range(TRIES):  # earlier faults may have ended
             self.read()
-            if not (faults := self.watch.faults):
+            if not self.watch.faults:
                 break
         else:
-            raise PlantError("; ".join(faults.values()))
+            raise PlantError(self.watch.fault)
         self._buses.identify(self._config.motors)
         self._find_way()
         self._law.window = self._config.max_lead
@@ -401,8 +401,11 @@ class PoppyPlant(Plant):
             self.read()
             if self._gate.known:
                 return
-        bad = [name for name, q in zip(self.names, self.measured.q, strict=True) if not math.isfinite(q)]
-        raise PlantError(f"no valid angle from {', '.join(bad)}")
+        cause = {k: why for part in self.parts for k, why in zip(part.places, part.bus.cause, strict=True)}
+        bad = np.flatnonzero(~np.isfinite(self.measured.q)).tolist()
+        names, causes = ", ".join(self.names[k] for k in bad), " or ".join(sorted({cause[k] for k in bad} - {""}))
+        usb2ax = "; any adapter but a USB2AX needs poppy.sync_read: false" if self._config.sync_read else ""
+        raise PlantError(f"no valid angle from {names}{causes and f': {causes}'}{usb2ax}")
 
     def _send(self, part: Part, places: list[int]) -> None:
         """Send goals and speeds to the motors of a bus at `places`."""
