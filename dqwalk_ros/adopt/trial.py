@@ -86,7 +86,8 @@ class Trial:
 
     def __str__(self) -> str:
         if not self.stood:
-            return f"{self.plant}: {self.note}" + "".join(f"; it fell because: {cause}" for cause in self.causes[:1])
+            fell = () if self.late else self.causes[:1]
+            return f"{self.plant}: {self.note}" + "".join(f"; it fell because: {cause}" for cause in fell)
         short = f" instead of {self.planned:.3f} m" if self.short else ""
         load = f", {self.load}" if self.load and self.load.part > _LOADED else ""
         but = "; ".join(text for text in (self.note, self.touching) if text)

@@ -34,6 +34,7 @@ from dqwalk_ros.plants.mujoco import own_contacts
 from dqwalk_ros.robot.model import find_urdf, load_model
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.robot.shapes import Shapes
+from dqwalk_ros.robot.standing_limits import Finding
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.studies.pushes import Push, pushed
 from dqwalk_ros.support import strict_yaml
@@ -358,6 +359,12 @@ def test_a_stiffness_that_is_a_guess_may_be_larger(
     servo = load(tmp_path / "robot" / "dynamic.yaml").servo
     assert servo.stiffness == servo.assumed_stiffness or known
     assert (servo.stiffness == pytest.approx(8.0 * found.numbers.mgh, rel=0.01)) == (not known)
+
+
+def test_a_walk_that_waits_has_not_fallen() -> None:
+    cause = Finding("joints follow late", "servo.latency")
+    assert "it fell because: joints" in str(replace(FELL, causes=(cause,)))
+    assert "fell because" not in str(replace(LATE, causes=(cause,)))
 
 
 def test_a_robot_that_waits_in_its_first_steps_does_not_walk_on(
