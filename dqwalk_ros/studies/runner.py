@@ -215,10 +215,14 @@ def _backend(scheduler: str | None) -> Iterator[None]:
             yield
         return
     from distributed import Client
+    from distributed.client import FutureCancelledError
 
     try:
         client = Client(scheduler, timeout=_CONNECT_TIMEOUT)
     except (OSError, ValueError) as error:
         raise ConfigError(f"no Dask scheduler answers at {scheduler}: {error}") from error
-    with client, parallel_config("dask"):
-        yield
+    try:
+        with client, parallel_config("dask"):
+            yield
+    except FutureCancelledError as error:
+        raise StudyError(f"the Dask scheduler at {scheduler} is lost; started again, the command continues") from error

@@ -14,13 +14,14 @@ from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
+from distributed.client import FutureCancelledError
 from full_disk import limited_file_size
 from points import Number
 from pyarrow import parquet
 from study_files import SHORT, write
 
 from dqwalk_ros.studies import read, walk_all
-from dqwalk_ros.studies.runner import Store, run
+from dqwalk_ros.studies.runner import Store, _backend, run
 from dqwalk_ros.support.errors import ConfigError, StudyError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,6 +40,14 @@ def test_results_do_not_depend_on_the_scheduler(small, tmp_path):
     assert table == list(one.values())
     assert [row["walk"] for row in table] == list(range(6))
     assert all(row["finished"] for row in table), [row["end"] for row in table]
+
+
+def test_a_scheduler_that_is_lost_is_named(monkeypatch):
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: contextlib.nullcontext())
+    monkeypatch.setattr("joblib.parallel_config", lambda *_: contextlib.nullcontext())
+    lost = FutureCancelledError("walk", "scheduler-connection-lost")
+    with pytest.raises(StudyError, match="tcp://x is lost; started again, the command continues"), _backend("tcp://x"):
+        raise lost
 
 
 def test_a_missing_scheduler_is_an_error(small, tmp_path, monkeypatch):

@@ -277,10 +277,10 @@ def _draw_loads(ax: Axes, series: Series, of: GroundTruth) -> None:
     part = true[:, 0] / np.maximum(true.sum(axis=1), 1e-3)
     ax.fill_between(series.time, 0.0, part, color=FOOT[Foot.LEFT], alpha=0.35, linewidth=0.0)
     ax.fill_between(series.time, part, 1.0, color=FOOT[Foot.RIGHT], alpha=0.35, linewidth=0.0)
-    title = "D   Fraction of the weight on each foot"
+    title = "D   Weight on each foot"
     if (loads := series.trace.loads) is not None:
         ax.plot(series.time, loads[:, 0] / np.maximum(loads.sum(axis=1), 1e-3), color=INK, linewidth=0.8)
-        title += "; line: on the left one, estimated from torques"
+        title += "; line: left, estimated from torques"
     set_time_limits(ax, series)
     ax.set(xlabel="time [s]", ylabel="fraction", ylim=(0.0, 1.0))
     ax.set_title(title)
