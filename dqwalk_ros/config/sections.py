@@ -318,7 +318,10 @@ class ServoConfig:
     rate: float = parameter(0.0, "rate at which positions are written; 0: every period", "Hz", 0.0, 1e4)
     latency: float = parameter(0.0, "delay from writing a position to its effect in the simulation", "s", 0.0, 0.5)
     window: float = parameter(
-        0.15, "goal window: largest distance of goal and predicted angle; smaller: more compliant", "rad", 1e-3, 3.0
+        0.15, "goal window: tolerated distance of goal and predicted angle; smaller: softer", "rad", 1e-3, 3.0
+    )
+    window_time: float = parameter(
+        0.0, "time constant with which a goal beyond the window returns; 0: at once", "s", 0.0, 1.0
     )
     assumed_stiffness: float = parameter(
         60.0, "stiffness that converts torques to position offsets; 0: no feedforward", "N m/rad", 0.0, 1e6

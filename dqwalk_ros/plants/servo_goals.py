@@ -4,11 +4,11 @@ Physics, the node `drive` (ros2_control) and the driver of Poppy execute it.
 
 1. A measured angle is used if the joint can have reached it since the last accepted one; three impossible ones in a row
    are a fault (`AngleGate`).
-2. Velocities and torques are clamped to the limits of the joints.
+2. Velocities and torques are clamped to the limits of the joints, velocities also to their range.
 3. The goal integrates the velocity and is limited to a window around the predicted angle of the joint, the measured one
    plus the motion commanded within the delay. This is an integral action with anti-windup, which compensates the
    deflection of a servo under load. With a small window a leg complies with a force that is not fed forward, such as
-   that of a stone under its sole.
+   that of a stone under its sole. A goal beyond the window returns to it at once, or with a time constant.
 4. Feedforward torques are converted to an offset of the goal by the assumed stiffness of the servos. Where they are
    known, the goal is also ahead by the lag of a damped servo. The sum stays within the range of the joint and moves no
    faster than the joint can.
@@ -170,7 +170,10 @@ class ServoGoals:
     limits : RobotModel or JointLimits
         Of these joints.
     window : float
-        Largest distance of the goal, without the offset by torques, from the predicted angle of the joint [rad].
+        Distance from the predicted angle of the joint beyond which the goal, without the offset by torques, returns
+        [rad].
+    window_time : float
+        Time constant of this return; 0: the goal is never beyond the window [s].
     resolution : float or ndarray, shape (n,)
         Steps of the goals [rad]; 0: continuous.
     rate, latency : float
@@ -197,12 +200,14 @@ class ServoGoals:
         limits: RobotModel | JointLimits,
         window: float,
         *,
+        window_time: float = 0.0,
         resolution: Array | float = 0.0,
         rate: float = 0.0,
         latency: float = 0.0,
     ) -> None:
         n = len(limits.joint_names)
         self.gate, self.window, self._drive, self._limits = gate, window, drive, limits
+        self._window_time = window_time
         self._fastest = np.minimum(limits.velocity_max, FASTEST)
         self._range = np.ascontiguousarray(limits.q_min), np.ascontiguousarray(limits.q_max)  # else compiled again
         self._step = np.maximum(np.broadcast_to(resolution, (n,)), 1e-12)
@@ -216,7 +221,7 @@ class ServoGoals:
         zero = np.zeros(n)  # compiled here, so that the first command is not late
         self._offset_of(zero)
         _find_runaways(zero, zero, self._most, self._side, self._nearest, self.runaway)
-        _goals(zero, zero, 1.0, zero, zero, window, *self._range, zero, zero, zero, self._fastest, self._step)
+        _goals(zero, zero, 1.0, zero, zero, window, 0.0, *self._range, zero, zero, zero, self._fastest, self._step)
         self._begin(gate.q.copy(), zero)
 
     @classmethod
@@ -242,8 +247,11 @@ class ServoGoals:
         gate = AngleGate(model.joint_names, speed, period * speed, longest=timeout, timeout=timeout)
         drive = Drive.of(config, model)
         if simulated is None:
-            return cls(gate, drive, model, c.window)
-        return cls(gate, drive, model, c.window, resolution=simulated.resolution, rate=c.rate, latency=c.latency)
+            return cls(gate, drive, model, c.window, window_time=c.window_time)
+        return cls(
+            gate, drive, model, c.window,
+            window_time=c.window_time, resolution=simulated.resolution, rate=c.rate, latency=c.latency,
+        )  # fmt: skip
 
     def begin(self, effort: Array | None = None, held: Array | None = None) -> None:
         """Let commands have an effect, from the measured angles on.
@@ -317,9 +325,10 @@ class ServoGoals:
         if effort is not None:
             self._offset, self._lead = self._offset_of(effort), self._ahead
         pending = self._history.pending(self.gate.oldest)
+        beyond = math.exp(-dt / self._window_time) if self._window_time else 0.0
         u, self.wanted, self.goal, rounded = _goals(
-            self.wanted, velocity, dt, self.gate.q, pending, self.window, *self._range, self._offset,
-            self._lead, self.goal, self._fastest, self._step,
+            self.wanted, velocity, dt, self.gate.q, pending, self.window, beyond, *self._range,
+            self._offset, self._lead, self.goal, self._fastest, self._step,
         )  # fmt: skip
         self._history.add(time, u, dt)
         if self._rate <= 0.0 or time - self._written >= 1.0 / self._rate - 1e-9:
@@ -403,21 +412,24 @@ def _find_runaways(q: Array, goal: Array, most: Array, side: Array, nearest: Arr
 
 @jit
 def _goals(
-    wanted: Array, velocity: Array, dt: float, q: Array, pending: Array, window: float, lower: Array, upper: Array,
-    offset: Array, lead: Array, goal: Array, fastest: Array, step: Array,
+    wanted: Array, velocity: Array, dt: float, q: Array, pending: Array, window: float, beyond: float, lower: Array,
+    upper: Array, offset: Array, lead: Array, goal: Array, fastest: Array, step: Array,
 ) -> Array:  # fmt: skip
     """Return velocities within their limits [rad/s], and after one period the commanded positions [rad], (4, n).
 
     These are without and with the offsets and the lead [s], and the latter rounded. The joints are predicted at
-    q + `pending` when the command acts. A joint outside its range may only move towards it.
+    q + `pending` when the command acts. Of what a position is beyond the window around them, the fraction `beyond`
+    remains. A joint outside its range may only move towards it.
     """
     out = np.empty((4, wanted.shape[0]))
     u, moved, shifted, rounded = out
     for i in range(wanted.shape[0]):
-        u[i], expected = min(max(velocity[i], -fastest[i]), fastest[i]), q[i] + pending[i]
         low, high = min(lower[i], wanted[i]), max(upper[i], wanted[i])
-        near = min(max(wanted[i] + dt * u[i], expected - window), expected + window)
-        moved[i] = min(max(near, low), high)
+        slowest, quickest = max((low - wanted[i]) / dt, -fastest[i]), min((high - wanted[i]) / dt, fastest[i])
+        u[i], expected = min(max(velocity[i], slowest), quickest), q[i] + pending[i]
+        asked = wanted[i] + dt * u[i]
+        near = min(max(asked, expected - window), expected + window)
+        moved[i] = min(max(near + beyond * (asked - near), low), high)
         least, most = goal[i] - dt * fastest[i], goal[i] + dt * fastest[i]
         shifted[i] = min(max(min(max(moved[i] + offset[i] + lead[i] * u[i], low), high), least), most)
         rounded[i] = np.rint(shifted[i] / step[i]) * step[i]

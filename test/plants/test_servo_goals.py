@@ -94,6 +94,25 @@ def test_goals_stay_near_the_position_at_which_the_command_finds_the_joint(laten
     np.testing.assert_allclose((blocked.wanted - start)[free], config.servo.window, atol=1e-12)
 
 
+@pytest.mark.parametrize("dt", [0.002, 0.02])
+@pytest.mark.parametrize("u", [0.5, -0.5])
+def test_a_goal_beyond_the_window_returns_with_its_time_constant(u: float, dt: float) -> None:
+    """The goal of a blocked joint is at most u T beyond the window, and returns as exp(-t / T) whatever the period."""
+    window, time_constant, knee = 0.006, 0.06, np.eye(N)[KNEE]
+    law = law_of(settings(window=window, window_time=time_constant))
+    times = dt * np.arange(round(2.0 * time_constant / dt) * 5 + 1)
+    for time in times:
+        law.measure(POSTURE, time)
+        law.command(u * knee, None, time, dt)
+    beyond = np.sign(u) * (law.wanted - POSTURE)[KNEE] - window
+    assert 0.8 * abs(u) * time_constant < beyond <= abs(u) * time_constant
+    for time in times[-1] + dt * np.arange(1, round(time_constant / dt) + 1):
+        law.measure(POSTURE, time)
+        law.command(0.0 * knee, None, time, dt)
+    remaining = np.sign(u) * (law.wanted - POSTURE)[KNEE] - window
+    assert remaining == pytest.approx(math.exp(-1.0) * beyond)
+
+
 @pytest.mark.parametrize("u", [1e3, -1e3, 1e300])
 def test_velocities_are_clamped(u: float) -> None:
     law = law_of()
@@ -284,6 +303,7 @@ ALL = CONFIG.updated(
     {
         "dt": PERIOD,
         "servo.window": 0.01,
+        "servo.window_time": 0.01,
         "servo.types": [f"{name}={MOTORS[name].type}" for name in MODEL.joint_names],
         "servo.assumed_latency": 0.04,
         "servo.assumed_rate": 50.0,
@@ -291,13 +311,25 @@ ALL = CONFIG.updated(
 )
 UNIT = math.radians(360.0 / 4095)
 """Step of the positions of an MX [rad]."""
+
+
+def on_the_bus(q: np.ndarray) -> np.ndarray:
+    """Return the nearest angles that the servos can measure."""
+    out = []
+    for name, angle in zip(MODEL.joint_names, q, strict=True):
+        motor, kind = MOTORS[name], TYPES[MOTORS[name].type]
+        out.append(motor.user(kind.degrees(kind.position(motor.servo(math.degrees(angle))))))
+    return np.radians(out)
+
+
+START = on_the_bus(POSTURE)
 Step = Callable[[np.ndarray, np.ndarray, Any], np.ndarray]
 """Processes measured angles, velocities and torques (n,) of a period, and returns the goals (n,)."""
 
 
 def physics_goals() -> Step:
     law, time = ServoGoals.of(ALL, MODEL, simulated=Servos.of(ALL, MODEL)), np.zeros(())
-    law.gate.use(POSTURE, 0.0)
+    law.gate.use(START, 0.0)
     law.begin()
 
     def step(q: np.ndarray, u: np.ndarray, effort: Any) -> np.ndarray:
@@ -323,16 +355,16 @@ def drive_goals(make: Any) -> Step:
         if u is not None:
             torques = {} if effort is None else {"effort": effort}
             one.send("joint_velocity_commands", state(MODEL.joint_names, [], one.clock.now, velocity=u, **torques))
-        return np.array(out[-1].data) if out else POSTURE
+        return np.array(out[-1].data) if out else START
 
     for _ in range(JUMPS):
-        step(POSTURE, None, None)
+        step(START, None, None)
     return step
 
 
 def poppy_goals() -> Step:
-    memory = Memory(timed=False, **dict(zip(MODEL.joint_names, np.degrees(POSTURE), strict=True)))
-    plant = PoppyPlant(ALL, MODEL, POSTURE, buses=memory.buses, clock=memory.clock, each=map)
+    memory = Memory(timed=False, **dict(zip(MODEL.joint_names, np.degrees(START), strict=True)))
+    plant = PoppyPlant(ALL, MODEL, START, buses=memory.buses, clock=memory.clock, each=map)
     plant.activate()
     while not plant.ready:
         plant.hold(PERIOD)
@@ -351,22 +383,13 @@ def poppy_goals() -> Step:
     return step
 
 
-def on_the_bus(q: np.ndarray) -> np.ndarray:
-    """Return the nearest angles that the servos can measure."""
-    out = []
-    for name, angle in zip(MODEL.joint_names, q, strict=True):
-        motor, kind = MOTORS[name], TYPES[MOTORS[name].type]
-        out.append(motor.user(kind.degrees(kind.position(motor.servo(math.degrees(angle))))))
-    return np.radians(out)
-
-
 def test_the_same_states_and_commands_give_the_same_goals_in_physics_drive_and_poppy(make: Any) -> None:
     """Joints that follow late, torques that come and go, velocities above the limits, one wrong angle."""
     physics, drive, poppy = physics_goals(), drive_goals(make), poppy_goals()
-    rng, goals = np.random.default_rng(1), [POSTURE] * 3
+    rng, goals = np.random.default_rng(1), [START] * 3
     held_back = 0.0
     for k in range(45):
-        q = on_the_bus(POSTURE + 0.2 * (goals[-3] - POSTURE) + rng.normal(0.0, 0.002, N))
+        q = on_the_bus(START + 0.2 * (goals[-3] - START) + (rng.normal(0.0, 0.002, N) if k else 0.0))
         if k == 20:
             q[KNEE] += 0.6
         u = rng.normal(0.0, 1.0, N) if k % 10 else rng.normal(0.0, 100.0, N)

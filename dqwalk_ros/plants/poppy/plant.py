@@ -118,7 +118,7 @@ class PoppyPlant(Plant):
         speed, effort = np.append(model.velocity_max, fastest[n:]), np.append(model.effort_max, stall[n:])
         limits = JointLimits(self.names, low, high, speed, effort)
         drive = replace(drive, stiffness=stiffness, lead=np.append(drive.lead, np.zeros(every - n)))
-        self._law = ServoGoals(self._gate, drive, limits, own.max_lead)
+        self._law = ServoGoals(self._gate, drive, limits, own.max_lead, window_time=config.servo.window_time)
 
         buses = buses if buses is not None else open_buses(self.motors, types, own, clock)
         self._buses = MotorBuses(dict(zip(self.names, table, strict=True)), kinds, buses, each)
