@@ -1,8 +1,8 @@
-"""Distances between parts that both move, and from a sphere that moves, as vector-field inequalities.
+"""Distances between parts that both move, and between lines, as vector-field inequalities [Marinho2019, Quiroz2019].
 
-Capsules, which are segments with a thickness, keep the bodies of a robot apart, and a cone keeps its trunk or a hand
-inclined by less than an angle [Quiroz2019]; the velocity of a sphere is the residual of [Marinho2019]. All distances
-except that of the cone are in [m].
+Capsules, which are segments with a thickness, keep the bodies of a robot apart; lines and the angle between them keep
+tools and the trunk in a cone; primitives that move by themselves add their velocity as the residual of [Marinho2019].
+All distances except that of the cone are in [m].
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.constraints import Constraint
+from dqwalk_ros.paper.constraints import Constraint, Region, facing
 from dqwalk_ros.paper.features import CenterOfMass, Direction, Feature, Point
+from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ConfigError
@@ -168,7 +169,67 @@ def capsules_in(config: Config, model: RobotModel) -> tuple[CapsulesApart, ...]:
     return tuple(out)
 
 
-# ---------------------------------------------------------------------- a cone, and a sphere that moves
+# ---------------------------------------------------------------------- lines
+
+
+@jit
+def lines_apart(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+    """Distance of two lines, s (12,) = (p, l, p', l'), unit directions l and l', less a[0] [m], and its gradient.
+
+    Parallel lines have the distance of p from the other line; there the distance has a kink, because lines that are
+    not quite parallel meet far away, and the gradient is that of p.
+    """
+    w, l, k = s[:3] - s[6:9], s[3:6], s[9:]
+    c = l @ k
+    sine = 1.0 - c * c
+    t = (c * (k @ w) - l @ w) / sine if sine > 1e-9 else 0.0
+    r = k @ w + t * c
+    length, n = _unit(w + t * l - r * k)
+    gradient = np.concatenate((n, t * n, -n, -r * n))
+    return np.array([length - a[0]]), gradient.reshape(1, 12), np.zeros(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinesApart(Constraint):
+    """Keep two lines of the robot, such as the axes of two tools, at a distance [m], [Marinho2019] line to line."""
+
+    point: Point
+    direction: Direction
+    other_point: Point
+    other_direction: Direction
+    distance: float
+    function = lines_apart
+
+    @cached_property
+    def parameters(self) -> Array:
+        """The distance, shape (1,)."""
+        return np.array([self.distance])
+
+
+@jit
+def outside_line(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+    """Distance of a point from a line, s (9,) = (point, p, l), unit direction l, less a[0] [m], and its gradient."""
+    w = s[:3] - s[3:6]
+    along = w @ s[6:]
+    length, n = _unit(w - along * s[6:])
+    gradient = np.concatenate((n, -n, -along * n))
+    return np.array([length - a[0]]), gradient.reshape(1, 9), np.zeros(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointOutsideLine(Constraint):
+    """Keep a point at a distance from a line of the robot [m], [Marinho2019] line to point."""
+
+    target: Point | CenterOfMass
+    point: Point
+    direction: Direction
+    distance: float
+    function = outside_line
+
+    @cached_property
+    def parameters(self) -> Array:
+        """The distance, shape (1,)."""
+        return np.array([self.distance])
 
 
 @jit
@@ -210,6 +271,9 @@ class AxisInCone(Constraint):
         return self.angle
 
 
+# ---------------------------------------------------------------------- moving primitives
+
+
 @jit
 def outside_sphere(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
     """Distance of a point s (3,) from the centre a[:3] + elapsed a[3:6], less a[6] [m], its gradient and residual."""
@@ -233,3 +297,33 @@ class PointOutsideSphere(Constraint):
     def parameters(self) -> Array:
         """Centre, velocity and radius, shape (7,)."""
         return np.array([*self.center, *self.velocity, self.radius])
+
+
+@jit
+def over_moving_plane(s: Array, a: Array, elapsed: float) -> tuple[Array, Array, Array]:
+    """Return <p - o, n> - a[0] [m] of s (9,) = (p, o, n), and its gradient."""
+    w, n = s[:3] - s[3:6], s[6:]
+    return np.array([w @ n - a[0]]), np.concatenate((n, -n, w)).reshape(1, 9), np.zeros(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointOverMovingPlane(Constraint):
+    """Keep a sphere about a point on the positive side of a plane of the robot, such as the front of the trunk [m]."""
+
+    point: Point | CenterOfMass
+    origin: Point
+    """A point of the plane."""
+    normal: Direction
+    """A unit vector."""
+    radius: float = 0.0
+    """Of the sphere [m]."""
+    function = over_moving_plane
+
+    @cached_property
+    def parameters(self) -> Array:
+        """The radius, shape (1,)."""
+        return np.array([self.radius])
+
+    def region(self, kin: Kinematics) -> Region:
+        """Return a part of the plane."""
+        return Region("plane", facing(self.origin.value(kin), self.normal.value(kin)), (0.2, 0.2))

@@ -154,7 +154,7 @@ class PointInCylinder(Constraint):
         axis, p = self.cylinder.axis, self.point.value(kin)
         foot = np.cross(axis.l, axis.m)  # the axis' point closest to the origin
         height = max(0.012, _MARGIN * abs(float((p - foot) @ axis.l)))
-        return Region("cylinder", _facing(foot + 0.5 * height * axis.l, axis.l), (self.cylinder.radius, height))
+        return Region("cylinder", facing(foot + 0.5 * height * axis.l, axis.l), (self.cylinder.radius, height))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +183,7 @@ class PointOverPlane(Affine, Constraint):
         """Return a part of the plane, below the point."""
         plane, p = self.plane, self.point.value(kin)
         center = p - (float(plane.n @ p) - plane.d) * plane.n
-        return Region("plane", _facing(center, plane.n), (0.26, 0.26))
+        return Region("plane", facing(center, plane.n), (0.26, 0.26))
 
 
 @jit
@@ -425,7 +425,7 @@ class JointMinimum(_OfAllJoints):
         return self.q_min
 
 
-def _facing(p: Array, z: Array) -> Array:
+def facing(p: Array, z: Array) -> Array:
     """Return a pose (8,) at `p` (3,) [m] whose z axis is the unit vector `z` (3,)."""
     r = np.array([1.0 + z[2], -z[1], z[0], 0.0])
     norm = float(np.linalg.norm(r))

@@ -13,11 +13,15 @@ from dqwalk_ros.paper.collisions import (
     AxisInCone,
     Capsule,
     PointOutsideSphere,
+    PointOverMovingPlane,
     capsules_apart,
     capsules_in,
     closest_on_segments,
+    lines_apart,
+    outside_line,
     segments_apart,
 )
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Direction, Point
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.phase import PhaseKind
@@ -101,6 +105,31 @@ def test_segments_that_meet_are_in_contact_without_a_direction():
     assert not gradient.any()
 
 
+# ---------------------------------------------------------------------- lines
+
+
+def lines(rng):
+    p, l, q, k = rng.normal(size=(4, 3))
+    return np.concatenate([p, l / np.linalg.norm(l), q, k / np.linalg.norm(k)])
+
+
+def test_lines_have_the_distance_of_the_common_normal():
+    for rng in generators():
+        s = lines(rng)
+        n = np.cross(s[3:6], s[9:])
+        expected = abs((s[:3] - s[6:9]) @ n) / np.linalg.norm(n)
+        assert lines_apart(s, np.array([0.2]), 0.0)[0][0] == pytest.approx(expected - 0.2, abs=1e-9)
+
+
+def test_parallel_lines_have_the_distance_of_a_point_of_one():
+    for rng in generators():
+        s = lines(rng)
+        s[9:] = rng.choice([-1.0, 1.0]) * s[3:6]
+        expected = np.linalg.norm(np.cross(s[:3] - s[6:9], s[3:6]))
+        assert lines_apart(s, np.zeros(1), 0.0)[0][0] == pytest.approx(expected, abs=1e-9)
+        assert outside_line(s[[0, 1, 2, 6, 7, 8, 9, 10, 11]], np.zeros(1), 0.0)[0][0] == pytest.approx(expected)
+
+
 # ---------------------------------------------------------------------- cone, sphere
 
 
@@ -123,6 +152,17 @@ def test_the_residual_of_a_moving_sphere_is_the_rate_of_the_distance_of_a_restin
         h = 1e-6
         rate = (sphere.evaluate(s, 0.5 + h)[0][0] - sphere.evaluate(s, 0.5 - h)[0][0]) / (2.0 * h)
         assert sphere.evaluate(s, 0.5)[2][0] == pytest.approx(rate, abs=1e-7)
+
+
+@pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3)])
+def test_the_region_of_a_plane_of_the_robot_faces_along_its_normal(axis):
+    """Also downwards, where the shortest rotation from z is not unique."""
+    plane = PointOverMovingPlane(
+        name="p", eta=1.0, point=Point("l_sole"), origin=Point("pelvis"), normal=Direction("pelvis", axis)
+    )
+    kin = Kinematics(MODEL, np.zeros(MODEL.n), Foot.LEFT)
+    found = DQ(plane.region(kin).pose).rotation_matrix()[:, 2]
+    np.testing.assert_allclose(found, plane.normal.value(kin), atol=1e-9)
 
 
 # ---------------------------------------------------------------------- capsules of a robot

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from robots import central_difference, legs
+from robots import central_difference
 
-from dqwalk_ros.paper.constraints import PointOverPlane
-from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.features import CenterOfMass
-from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import (
     ConvexPolygon,
     Line,
@@ -19,7 +15,6 @@ from dqwalk_ros.paper.geometry import (
     point_to_wall,
     wall_side,
 )
-from dqwalk_ros.paper.kinematics import Kinematics
 
 SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
 
@@ -31,14 +26,6 @@ def generators():
 
 def unit(v):
     return v / np.linalg.norm(v)
-
-
-@pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3)])
-def test_the_region_of_a_plane_faces_along_its_normal(axis):
-    """Also downwards, where the shortest rotation from z is not unique."""
-    plane = PointOverPlane(name="p", eta=1.0, point=CenterOfMass(), plane=Plane.through([0.1, 0.2, 0.3], axis))
-    kin = Kinematics(legs(), np.zeros(legs().n), Foot.LEFT)
-    np.testing.assert_allclose(DQ(plane.region(kin).pose).rotation_matrix()[:, 2], axis, atol=1e-9)
 
 
 # ---------------------------------------------------------------------- points, planes and lines
