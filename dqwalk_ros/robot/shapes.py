@@ -70,8 +70,9 @@ class Shapes:
         self._hulls.clear()
 
     def file(self, mesh: str) -> pathlib.Path | None:
-        """Return the path of a mesh; None if it is not found."""
-        return find_package_file(mesh, self._near, self._places)
+        """Return the absolute path of a mesh; None if it is not found."""
+        file = find_package_file(mesh, self._near, self._places)
+        return None if file is None else file.absolute()
 
     def name_files(self) -> None:
         """Name the meshes that are found by the URI of their file, in the description itself."""

@@ -90,6 +90,20 @@ def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
         anatomy_of(urdf, path)
 
 
+def test_meshes_of_one_name_in_two_folders_are_two_meshes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A relative path means another file after the process has changed its folder."""
+    for size in (0.1, 0.2):
+        folder = tmp_path / f"{size}"
+        folder.mkdir()
+        trimesh.creation.box((size, size, size)).export(folder / "box.stl")
+        shape = '<visual><geometry><mesh filename="box.stl"/></geometry></visual>'
+        (folder / "robot.urdf").write_text(f'<robot name="r"><link name="a">{shape}</link></robot>')
+        monkeypatch.chdir(folder)
+        path = Path("robot.urdf")
+        (surface,) = Shapes(Urdf.load(path), path).of("a", "visuals")
+        np.testing.assert_allclose(np.ptp(surface.vertices, axis=0), size, rtol=1e-6)
+
+
 def test_all_meshes_that_are_declared_as_y_up_are_turned_or_none(tmp_path: Path) -> None:
     """The mesh of one foot, whose CoM is at its origin, does not show what is up; that of the other does."""
     for name, up in (("a", 0.05), ("b", 0.0)):
