@@ -185,7 +185,7 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
         if held < -tolerance:
             text = f"{what} moved towards its bound faster than eta allows, by {-held:.3g}"
             yield _broken(series, f"eta/{what}", tick, held, -tolerance, text, name)
-    if span.double:
+    if span.double and span.phase.equalities:  # which an exercise in the air has not
         height, tick = _settled_height(series, span)
         allowed = max(_GROUND_TOLERANCE, tolerance)
         if height is not None and abs(height) > allowed:

@@ -18,6 +18,8 @@ from dqwalk_ros.identification.exercise import exercise_config, path_of
 from dqwalk_ros.identification.replay import replay
 from dqwalk_ros.plants.mujoco import PhysicsPlant
 from dqwalk_ros.plants.sensors import Sensors
+from dqwalk_ros.report.metrics import analyse
+from dqwalk_ros.report.verdict import violations
 from dqwalk_ros.robot.clearance import Clearance, limbs
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive, Servos
@@ -128,6 +130,11 @@ def test_a_held_robot_keeps_its_pelvis_pose_and_has_no_contacts(legs) -> None:
     np.testing.assert_allclose(physics.pelvis, np.tile(physics.pelvis[0], (len(legs[0]), 1)), atol=1e-12)
     assert not any(wrench.any() for wrench in physics.wrenches.values())
     assert not np.isfinite(physics.cop).any()
+
+
+def test_soles_in_the_air_are_not_judged_as_soles_on_the_ground(legs) -> None:
+    assert legs[0].finished
+    assert not violations(analyse(legs[0]))
 
 
 # ---------------------------------------------------------------------- the fit
