@@ -121,6 +121,15 @@ def pytest_runtest_call() -> Iterator[None]:
     return (yield from declared.skip_where_missing())
 
 
+@pytest.fixture(autouse=True)
+def signal_handlers() -> Iterator[None]:
+    """Restore the handlers of signals, which a node that runs in the process of the tests replaces."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.fixture(scope="session")
 def paper() -> Config:
     """The paper's configuration."""

@@ -382,7 +382,8 @@ def test_make_mends_half_an_environment_and_notices_that_of_another_folder(tmp_p
 
     def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         command = ["make", *words, f"PYTHON={tmp_path / 'python'}"]
-        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        own = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}  # of `make test`
+        return subprocess.run(command, cwd=folder, env=own, capture_output=True, text=True, check=False)
 
     both = [f".venv/.installed-{name}" for name in ("sim", "drake")]
     assert make(first, "-j8", *both).returncode == 0
