@@ -83,14 +83,7 @@ class JointPath:
 def checked(
     limits: Limits, places: Sequence[int], times: ArrayLike, angles: ArrayLike, velocities: ArrayLike | None
 ) -> list[JointPath]:
-    """Return the paths of the joints at some places in `limits`; none without points.
-
-    Parameters
-    ----------
-    times : array_like, shape (k,)
-        Times of the points since the beginning [s].
-    angles, velocities : array_like, shape (k, joints)
-        [rad, rad/s]
+    """Return the paths of the joints at some places in `limits`, of points as `Arms.follow` takes; none without points.
 
     Raises
     ------
