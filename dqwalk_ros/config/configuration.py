@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import logging
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -90,11 +89,6 @@ class Config:
         ConfigError
             For an unknown name, a wrong type or a value out of bounds.
         """
-        if "physics.imu" in values:
-            values = {"robot.imu" if name == "physics.imu" else name: value for name, value in values.items()}
-            if values["robot.imu"] != "imu":  # the former default, which every older recording contains
-                text = f"{source or 'a configuration'}: 'physics.imu' is now 'robot.imu'"
-                logging.getLogger("dqwalk_ros").warning(text)
         try:
             values = {name: checked(_specs(), name, value) for name, value in values.items()}
         except ConfigError as error:

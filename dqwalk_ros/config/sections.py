@@ -218,8 +218,6 @@ class DynamicConfig:
     catch_length: float = parameter(0.1, "largest adjustment of a step ahead; larger: more effect", "m", 0.0, 0.5)
     catch_side: float = parameter(0.0, "largest lateral adjustment of a step; 0 without ankle roll", "m", 0.0, 0.2)
     shortest_step: float = parameter(0.26, "least duration of an adjusted swing; smaller: earlier", "s", 0.05, 10.0)
-    longest_step: float = parameter(1.5, "longest adjusted swing, as a multiple of the planned one", "", 1.0, 5.0)
-    hurry: float = parameter(0.03, "largest change of the landing time per period; larger: faster", "s", 0.0, 1.0)
     untouched: float = parameter(0.04, "time after lift-off without adjustment; larger: later", "s", 0.0, 1.0)
     settled: float = parameter(0.12, "time before landing without adjustment; larger: fixed earlier", "s", 0.0, 1.0)
 

@@ -311,8 +311,6 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
     urdf.give_mass()
     feet = {foot: _sole_frame(urdf, config, foot) for foot in Foot}
     imu = config.imu or config.pelvis
-    if published and imu == "imu" and imu not in urdf.links:  # older recordings name it even if it does not exist
-        imu = config.pelvis
     named = {"pelvis": config.pelvis, "left_sole": feet[Foot.LEFT], "right_sole": feet[Foot.RIGHT], "imu": imu}
     for key, name in named.items():
         if name not in urdf.links:

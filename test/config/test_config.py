@@ -269,11 +269,6 @@ def test_a_ground_is_given_by_its_name() -> None:
         with_files(walk, [Path("swamp")])
 
 
-def test_the_former_name_of_a_parameter_is_said_in_one_line(caplog: pytest.LogCaptureFixture) -> None:
-    assert Config().updated({"physics.imu": "head"}, source="mine.yaml").robot.imu == "head"
-    assert caplog.messages == ["mine.yaml: 'physics.imu' is now 'robot.imu'"]
-
-
 @pytest.mark.parametrize(
     ("urdf", "expected"),
     [

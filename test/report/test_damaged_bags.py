@@ -28,7 +28,7 @@ from dqwalk_ros.support.errors import BagError
 from dqwalk_ros.whole_body.bag import read_body
 
 RECORDED = pathlib.Path(__file__).parents[1] / "data" / "recorded"
-"""Bags of an earlier version: a walk of 581 states and four phases, and one of the whole body."""
+"""Bags recorded live: a walk of 581 states and four phases, and one of the whole body."""
 
 
 @pytest.fixture(scope="module")
@@ -478,10 +478,10 @@ def test_memory_and_time_are_bounded(path, tmp_path):
     assert int(most) < 500_000  # kB
 
 
-# ---------------------------------------------------------------------- recorded by an earlier version
+# ---------------------------------------------------------------------- recorded on another machine
 
 
-def test_bags_of_earlier_versions_are_read(trace, tmp_path):
+def test_bags_of_another_machine_are_read(trace, tmp_path):
     assert trace.finished
     assert trace.notes == ()
     assert len(trace) == 581

@@ -19,6 +19,10 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.walks.dynamic.plan import Pressed, before
 
+HURRY = 0.03
+"""Largest change of the landing time, and of a double support's end, in one control period [s]."""
+_LONGEST_STEP = 1.5
+"""Longest adjusted swing, as a multiple of the planned one."""
 _GRID = 0.01
 """Resolution of the search for the landing time [s]."""
 _AHEAD_PART, _TIME_PART = 0.05, 1e-3
@@ -141,9 +145,9 @@ def adjusted(
         Error of xi at the landing that the ankle cannot compensate [m].
     """
     soonest = max(c.shortest_step - elapsed, c.settled)
-    latest = max(c.longest_step * step.duration - elapsed, soonest)
+    latest = max(_LONGEST_STEP * step.duration - elapsed, soonest)
     best = elapsed + _best_time(*step.constants, xi, step.duration - elapsed, soonest, latest)
-    duration += min(max(best - duration, -c.hurry), c.hurry)
+    duration += min(max(best - duration, -HURRY), HURRY)
     over, moved = left_over(step, xi, elapsed, duration - elapsed)
     wanted = np.clip(over + moved, -step.reach, step.reach)
     return duration, shift + _SMOOTH * (wanted - shift), over

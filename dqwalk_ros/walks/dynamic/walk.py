@@ -31,7 +31,7 @@ from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.com import com_and_xi, rates
-from dqwalk_ros.walks.dynamic.adjust import Step, adjusted, left_over, transfer_time
+from dqwalk_ros.walks.dynamic.adjust import HURRY, Step, adjusted, left_over, transfer_time
 from dqwalk_ros.walks.dynamic.flight import Flight
 from dqwalk_ros.walks.dynamic.ground import Ground
 from dqwalk_ros.walks.dynamic.law import GROUNDED, MEMORY, Memory, Settings, answer, notice, torques
@@ -418,8 +418,7 @@ class DynamicWalk(SteppingWalk):
         due, z = reference.at(t)
         waits, xi = left > 1e-9 and t < planned + _LONGEST_WAIT, self._now.smooth
         if self.config.dynamic.catch and abs(xi[1] - due[1]) > self._threshold and waits:
-            most = self.config.dynamic.hurry
-            left += min(max(transfer_time(reference, z, xi, planned - t) - left, -most), most)
+            left += min(max(transfer_time(reference, z, xi, planned - t) - left, -HURRY), HURRY)
             rule.duration = t + left
             a = reference.b - (reference.b - z) * rule.duration / left
             self._reference = replace(reference, a=a, duration=rule.duration)
