@@ -138,6 +138,7 @@ def simulate(
     progress: Callable[[float, str], None] | None = None,
     max_time: float | None = None,
     before_step: Callable[[float], None] | None = None,
+    whole: bool = False,
 ) -> Trace:
     """Run the closed loop until the walk is finished, and record it.
 
@@ -149,6 +150,8 @@ def simulate(
         Simulated time after which the walk is stopped [s].
     before_step : callable, optional
         See `closed_loop`.
+    whole : bool
+        Ctrl-C is a KeyboardInterrupt, for walks that count only as a whole.
 
     Returns
     -------
@@ -181,6 +184,8 @@ def simulate(
                 recorder.add(state, command, controller, plant)
                 if state.time >= end:
                     break
+                if interrupted and whole:
+                    raise KeyboardInterrupt
                 if interrupted:
                     recorder.note(f"interrupted at {state.time:.3f} s")
                     recorder.interrupted = True

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fnmatch
 import math
 import statistics
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,7 @@ from dqwalk_ros.cli.options import Many, command, many_options
 from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.support.text_table import aligned
-from dqwalk_ros.support.wording import listed, without_numbers
+from dqwalk_ros.support.wording import counted, listed, without_numbers
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.evidence import WalkOutcome
@@ -104,7 +103,7 @@ def evidence(
     if wanted:
         rows = {name: row for name, row in rows.items() if any(fnmatch.fnmatchcase(name, text) for text in wanted)}
     prepare_study(many, "walks.jsonl", "evidence.csv", "evidence.txt")
-    with many.options("walks", lambda last: f"; the last one {'stood' if last.stood else 'fell'}") as options:
+    with many.options("walks", lambda last: "stood" if last.stood else "fell") as options:
         done = study.collect(rows, engines, many.folder, sample=sample, **options)
     keys = ["row", "engine", "seed", "foot", "direction", "part"]
     head = [*keys, "stood", "ok", "reason", "tilt_rad", "landing_m", "inside", "speed_m_s", "touching"]
@@ -122,7 +121,7 @@ def evidence(
     return 0 if all(end.stood for _, end in done) else 1
 
 
-def table(done: Sequence[tuple[dict[str, Any], WalkOutcome]], ceilings: Mapping[str, str]) -> str:
+def table(done: Sequence[tuple[Mapping[str, Any], WalkOutcome]], ceilings: Mapping[str, str]) -> str:
     """Return a line per row and engine, with the ceilings of the rows, and why some did not stand or are not OK."""
     from dqwalk_ros.studies.evidence import bounds
 
@@ -168,16 +167,16 @@ def table(done: Sequence[tuple[dict[str, Any], WalkOutcome]], ceilings: Mapping[
         text,
         "",
         "worst of all walks, the speed is the median; >= is the success rate proved with 95 % confidence;",
+        "ceiling: the speed that the servos allow in steady steps; of pushes, what a pendulum on the soles catches",
+        "in the weakest direction with the steps of the walk; a body that turns can bear more than a point mass",
+        "touching: states in which links of the robot touch each other, by their collision shapes in MuJoCo",
     ]
-    lines += [
-        "ceiling: the speed that the servos allow in steady steps; of pushes, what a pendulum on the soles catches"
+    reasons = [
+        f"{', '.join(group)}: {without_numbers(one.reason)}"
+        for group, ends in groups.items()
+        for one in ends
+        if one.reason
     ]
-    lines += ["in the weakest direction with the steps of the walk; a body that turns can bear more than a point mass"]
-    lines += ["touching: states in which links of the robot touch each other, by their collision shapes in MuJoCo"]
-    reasons = Counter(
-        (*group, without_numbers(one.reason)) for group, ends in groups.items() for one in ends if one.reason
-    )
     if reasons:
-        lines += ["", "what did not stand or is not OK:"]
-        lines += [f"  {count:3d} x {row}, {engine}: {why}" for (row, engine, why), count in reasons.most_common(20)]
+        lines += ["", "what did not stand or is not OK:", *counted(reasons, 20)]
     return "\n".join(lines)

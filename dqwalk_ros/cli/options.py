@@ -288,15 +288,16 @@ class Many(Output):
     scheduler: str | None
 
     @contextlib.contextmanager
-    def options(self, unit: str, describe: Callable[[Any], str] = lambda _: "") -> Iterator[dict[str, Any]]:
-        """Provide the keyword arguments of a study, with a progress bar that counts in `unit`."""
+    def options(self, unit: str, end: Callable[[Any], str] = lambda _: "") -> Iterator[dict[str, Any]]:
+        """Provide the keyword arguments of a study, with a progress bar that counts in `unit` and says each `end`."""
         from dqwalk_ros.cli.progress import Progress
 
         with Progress(quiet=self.quiet) as bar:
             bar.stage(0.0, "starting the processes, which on a new machine compile for some minutes")
 
             def progress(done: int, total: int, last: Any) -> None:
-                bar(done / total, f"{done} of {total} {unit}{describe(last)}")
+                how = f"; the last one {word}" if (word := end(last)) else ""
+                bar(done / total, f"{done} of {total} {unit}{how}")
 
             yield {"force": self.force, "jobs": self.jobs, "scheduler": self.scheduler, "progress": progress}
 

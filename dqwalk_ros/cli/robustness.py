@@ -19,7 +19,7 @@ from dqwalk_ros.cli.options import (
 )
 from dqwalk_ros.plants.table import PHYSICS
 from dqwalk_ros.support.errors import ConfigError
-from dqwalk_ros.support.wording import without_numbers
+from dqwalk_ros.support.wording import counted, without_numbers
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies.robustness import Cell
@@ -79,7 +79,7 @@ def robustness(
             made.updated(varied, source="--axis")
     prepare_study(many, "cells.jsonl", "robustness.csv", "robustness.txt", "robustness.png")
     combinations = study.cells(axes, sample, seed)
-    with many.options("cells", lambda last: f"; the last one {'stood' if last.stood else 'did not stand'}") as options:
+    with many.options("cells", lambda last: "stood" if last.stood else "did not stand") as options:
         done = study.walk_all(made, combinations, many.folder, **options)
     head = [*axes, "stood", "time", "steps", "reason", "tilt"]
     rows = [
@@ -124,9 +124,8 @@ def table(done: Sequence[Cell], axes: dict[str, tuple[float, ...]]) -> str:
             if part:
                 lines.append(f"  {name + ' = ' + format(value, 'g'):28s} {sum(part):3d} of {len(part):3d}")
     fallen = [(values, end) for values, end in done if not end.stood]
-    reasons = Counter(without_numbers(end.reason) for _, end in fallen)
-    if reasons:
-        lines += ["", "why the others did not:", *(f"  {count:3d} x {why}" for why, count in reasons.most_common()), ""]
+    if fallen:
+        lines += ["", "why the others did not:", *counted(without_numbers(end.reason) for _, end in fallen), ""]
     for values, end in fallen:
         where = ", ".join(f"{name.partition('.')[2]} {value:g}" for name, value in values.items())
         lines.append(f"  failed at {end.time:5.1f} s, after {end.steps} steps: {where}: {end.reason}")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from dqwalk_ros.cli.options import Many, Place, command, format_option, many_options
+from dqwalk_ros.support.wording import counted, without_numbers
 
 if TYPE_CHECKING:
     from dqwalk_ros.studies import Study
@@ -61,17 +61,14 @@ def study(path: Path, many: Many, dry_run: bool, formats: tuple[str, ...]) -> in
     many = dataclasses.replace(many, out=many.out or Path(f"{path.stem}_study"))
     folder = many.folder
     prepare_study(many, "walks.jsonl", "walks.parquet", *(f"study.{kind}" for kind in formats))
-    with many.options("walks", lambda last: f"; the last one {'finished' if last.finished else 'failed'}") as options:
+    with many.options("walks", lambda last: "finished" if last.finished else "failed") as options:
         rows = studies.walk_all(plan, folder, **options)
     from dqwalk_ros.report.figures.studies import study_figure
     from dqwalk_ros.report.figures.style import Drawn, save
 
-    found = list(rows.values())
-    figures = save(
-        [Drawn("study", study_figure(found, list(plan.vary), _units(plan)))], folder, formats, overwrite=True
-    )
+    figures = save([Drawn("study", study_figure(rows, list(plan.vary), _units(plan)))], folder, formats, overwrite=True)
     if not many.quiet:
-        print(_summary(plan, found))
+        print(_summary(plan, rows))
         print(f"wrote {', '.join(map(str, [folder / 'walks.parquet', *figures]))}")
     return 0
 
@@ -94,7 +91,5 @@ def _summary(study: Study, rows: list[dict[str, Any]]) -> str:
         best = max(finished, key=lambda row: row[margin])
         at = ", ".join(f"{name} = {best[name]}" for name in study.vary)
         lines.append(f"  best smallest margin {MARGINS[margin][1]}: {1e3 * best[margin]:.2f} mm at {at}")
-    # failures that differ in numbers only are counted together
-    ends = Counter(row["end"].partition(" at an error")[0].partition(":")[0] for row in rows if not row["finished"])
-    lines += [f"  {count:4d} x {end}" for end, count in ends.most_common(6)]
+    lines += counted((without_numbers(row["end"]) for row in rows if not row["finished"]), 6)
     return "\n".join(lines)

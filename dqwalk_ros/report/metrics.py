@@ -29,7 +29,7 @@ from dqwalk_ros.report.spans import Ending, Span
 from dqwalk_ros.robot.model import RobotModel, Sole, parse_model
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
-from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.support.errors import ModelError, PlantError
 from dqwalk_ros.trace import Trace
 
 # ---------------------------------------------------------------------- one state
@@ -205,6 +205,21 @@ class Series:
         if physics is None or held or not np.isfinite(physics.pelvis).any():
             return None
         return GroundTruth(self.trace, self.spans, physics)
+
+    @property
+    def judged(self) -> GroundTruth:
+        """The true motion, by which a walk in physics is judged.
+
+        Raises
+        ------
+        PlantError
+            If it is not known.
+        """
+        if self.ground is None:
+            raise PlantError(
+                f"the plant '{self.trace.config.plant.name}' has no ground truth, by which a walk is judged"
+            )
+        return self.ground
 
     def polygon_margin(self, points: Array, soles: Mapping[Foot, Sole] | None = None) -> Array:
         """Return the signed distance of points (N, 2) in the base sole's frame to the support polygon [m], (N,)."""

@@ -6,7 +6,6 @@ import contextlib
 import functools
 import itertools
 import math
-import random
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,7 +25,7 @@ from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies import ceiling
 from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.pushes import Push, pushed
-from dqwalk_ros.studies.runner import Store, run
+from dqwalk_ros.studies.runner import Point, Store, drawn, run
 from dqwalk_ros.support import strict_yaml
 from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError
 from dqwalk_ros.support.wording import listed
@@ -194,9 +193,7 @@ def points(rows: Mapping[str, Row], engines: Sequence[str], sample: int = 0) -> 
                 {"foot": foot, "direction": 2.0 * math.pi * k / _DIRECTIONS, "part": part}
                 for foot, k, part in itertools.product(("left", "right"), range(_DIRECTIONS), _PARTS)
             ]
-        if 0 < sample < len(every):
-            every = random.Random(0).sample(every, sample)
-        out += [{"row": name, "engine": engine, **one} for engine in engines for one in every]
+        out += [{"row": name, "engine": engine, **one} for engine in engines for one in drawn(every, sample)]
     return out
 
 
@@ -230,13 +227,9 @@ def _evaluate(
             for order in orders:
                 order(time)
 
-        trace = simulate(controller, plant, before_step=before_step)
-        if trace.interrupted:
-            raise KeyboardInterrupt  # an interrupted walk has no outcome
+        trace = simulate(controller, plant, before_step=before_step, whole=True)
         series = report.analyse(trace)
-        if (ground := series.ground) is None:
-            raise PlantError(f"the plant '{point['engine']}' has no ground truth, by which a walk is judged")
-        found = report.report(series)
+        ground, found = series.judged, report.report(series)
     except DqwalkError as error:
         return WalkOutcome(False, str(error))
     of, failure = found["physics"], ground.failure
@@ -294,7 +287,7 @@ def _pushing(
 
 def collect(
     rows: Mapping[str, Row], engines: Sequence[str], out: Path, *, sample: int = 0, force: bool = False, **options: Any
-) -> list[tuple[dict[str, Any], WalkOutcome]]:
+) -> list[tuple[Point, WalkOutcome]]:
     """Simulate what is missing in ``walks.jsonl`` of a folder, and return all points with their outcomes in order.
 
     With `force` earlier results are discarded; other options and errors are those of `runner.run`.
@@ -305,8 +298,7 @@ def collect(
     ]
     key = digest(next(iter(configs.values())), every, walks)
     store = Store(out / "walks.jsonl", key, every, WalkOutcome, force=force)
-    done = run(functools.partial(_evaluate, rows, configs), store, **options)
-    return [(every[k], outcome) for k, outcome in done.items()]
+    return run(functools.partial(_evaluate, rows, configs), store, **options)
 
 
 def ceilings(rows: Mapping[str, Row]) -> dict[str, str]:

@@ -231,4 +231,4 @@ def every_limit(
     """
     points = [{"moment": m, "direction": 2.0 * math.pi * k / directions} for m in moments for k in range(directions)]
     key = digest(settings[0], points, *settings[1:])
-    return list(run(task, Store(out / "limits.jsonl", key, points, Limit, force=force), **options).values())
+    return [one for _, one in run(task, Store(out / "limits.jsonl", key, points, Limit, force=force), **options)]

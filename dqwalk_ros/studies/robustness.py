@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import random
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,8 @@ from dqwalk_ros.report.metrics import analyse
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.simulation import simulate
 from dqwalk_ros.studies.plan import MAX_WALKS, digest
-from dqwalk_ros.studies.runner import Store, run
-from dqwalk_ros.support.errors import ConfigError, DqwalkError, PlantError
+from dqwalk_ros.studies.runner import Store, drawn, run
+from dqwalk_ros.support.errors import ConfigError, DqwalkError
 from dqwalk_ros.walks.table import make_controller, refuse_endless
 
 LATENCY_ERROR = "latency_error"
@@ -84,7 +83,7 @@ def cells(axes: Mapping[str, Sequence[float]], sample: int = 0, seed: int = 0) -
     if count > MAX_WALKS:
         raise ConfigError(f"{count:.3g} combinations are too many, at most {MAX_WALKS}")
     every = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-    return random.Random(seed).sample(every, sample) if 0 < sample < len(every) else every
+    return drawn(every, sample, seed)
 
 
 def assumed(config: Config, latency_error: float = 0.0) -> dict[str, float]:
@@ -111,12 +110,9 @@ def walk(config: Config, index: int, values: Mapping[str, Any]) -> CellOutcome:
         refuse_endless(varied)
         model = load_model(varied.robot)
         plant = make_plant(varied.plant.name or "physics", varied, model)
-        trace = simulate(make_controller(varied, model), plant)
-        if trace.interrupted:
-            raise KeyboardInterrupt  # an interrupted walk has no outcome
+        trace = simulate(make_controller(varied, model), plant, whole=True)
         series = analyse(trace)
-        if (ground := series.ground) is None:
-            raise PlantError(f"the plant '{varied.plant.name}' has no ground truth, by which a walk is judged")
+        ground = series.judged
     except DqwalkError as error:
         return CellOutcome(False, 0.0, 0, str(error))
     load = most_loaded(trace)
@@ -137,5 +133,4 @@ def walk_all(
     refuse_endless(config)
     make_controller(config, load_model(config.robot))  # a wrong name is an error before the first walk
     store = Store(out / "cells.jsonl", digest(config, list(combinations)), combinations, CellOutcome, force=force)
-    done = run(functools.partial(walk, config), store, **options)
-    return [(combinations[k], outcome) for k, outcome in done.items()]
+    return run(functools.partial(walk, config), store, **options)

@@ -135,8 +135,8 @@ def run(
     jobs: int = 1,
     scheduler: str | None = None,
     progress: Callable[[int, int, Outcome], None] | None = None,
-) -> dict[int, Outcome]:
-    """Run the walks that are missing in a store, close it, and return all outcomes by the index of their point.
+) -> list[tuple[Point, Outcome]]:
+    """Run the walks that are missing in a store, close it, and return every point with its outcome, in order.
 
     The order of the walks is random, so that the outcomes of an interrupted study are a fair sample.
 
@@ -169,7 +169,12 @@ def run(
                 progress(len(store.done), len(store.points), outcome)
     if (count := len(store.done)) < (total := len(store.points)):
         raise StudyError(f"interrupted; {count} of {total} {store.name} are saved, the same command continues")
-    return dict(sorted(store.done.items()))
+    return [(point, store.done[index]) for index, point in enumerate(store.points)]
+
+
+def drawn(every: list[dict[str, Any]], sample: int, seed: int = 0) -> list[dict[str, Any]]:
+    """Return `sample` of some points drawn at random, or all of them if `sample` is 0 or at least their number."""
+    return random.Random(seed).sample(every, sample) if 0 < sample < len(every) else every
 
 
 def _unlinked(path: Path) -> int:

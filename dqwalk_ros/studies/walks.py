@@ -54,7 +54,7 @@ def walk(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> Stu
         return StudyOutcome(finished=False, end=str(error))
 
 
-def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) -> dict[int, dict[str, Any]]:
+def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) -> list[dict[str, Any]]:
     """Run the walks of a study that are missing in a folder, and return the rows of all walks.
 
     The folder has ``walks.jsonl`` and, when all walks are done, ``walks.parquet``. With `force` earlier results are
@@ -62,15 +62,15 @@ def walk_all(study: Study, out: Path, *, force: bool = False, **options: Any) ->
 
     Returns
     -------
-    dict of int to dict
-        ``walk``, the parameters, and the fields of `StudyOutcome`, by the number of the walk.
+    list of dict
+        ``walk``, the parameters, and the fields of `StudyOutcome`, in the order of the walks.
     """
     points = study.points()
     set_up(study.config, points[0])  # a wrong name is an error before the first walk
     store = Store(out / "walks.jsonl", study.digest(), points, StudyOutcome, force=force)
     done = run(functools.partial(walk, study.config, study.seed), store, **options)
-    rows = {k: {"walk": k, **points[k], **msgspec.to_builtins(outcome)} for k, outcome in done.items()}
-    _write_parquet(list(rows.values()), out / "walks.parquet")
+    rows = [{"walk": k, **point, **msgspec.to_builtins(outcome)} for k, (point, outcome) in enumerate(done)]
+    _write_parquet(rows, out / "walks.parquet")
     return rows
 
 
@@ -115,9 +115,7 @@ def _walked(config: Config, seed: int, index: int, point: Mapping[str, Any]) -> 
     deviation = float(point.get("disturbance.velocity", 0.0))
     controller = make_controller(config, model)
     plant = _Disturbed(model, q0, deviation, np.random.default_rng([seed, index]))
-    trace = simulate(controller, plant)
-    if trace.interrupted:
-        raise KeyboardInterrupt  # an interrupted walk has no outcome
+    trace = simulate(controller, plant, whole=True)
     if not trace.phases:
         return StudyOutcome(finished=False, end="; ".join(trace.notes))
     found = report.report(report.analyse(trace))["walk"]

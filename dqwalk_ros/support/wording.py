@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 _PARTICULAR = re.compile(r"'[^']*'|[-+.\d]+(?:e[-+]?\d+)?")
@@ -61,3 +62,8 @@ def one_line(text: str) -> str:
 def without_numbers(text: str) -> str:
     """Return a message with # for each number, to count messages that differ in numbers only."""
     return _NUMBER.sub("#", text)
+
+
+def counted(texts: Iterable[str], most: int | None = None) -> list[str]:
+    """Return a line for each text with the number of its copies, the most frequent first, at most `most` lines."""
+    return [f"  {count:3d} x {text}" for text, count in Counter(texts).most_common(most)]

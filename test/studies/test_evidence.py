@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import signal
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +15,10 @@ import pytest
 
 from dqwalk_ros import cli
 from dqwalk_ros.cli.evidence import table
-from dqwalk_ros.config import load, to_yaml
+from dqwalk_ros.config import Config, load, to_yaml
 from dqwalk_ros.plants import mujoco
+from dqwalk_ros.plants.base import Plant
+from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.studies import evidence, robustness
 from dqwalk_ros.studies.evidence import Row, WalkOutcome, bounds, points, read
@@ -121,7 +124,13 @@ def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> Non
 
 def test_an_interrupted_walk_is_no_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     name, row = next((name, row) for name, row in read("evidence").items() if not row.push)
-    monkeypatch.setattr(evidence, "simulate", lambda *_, **__: SimpleNamespace(interrupted=True))
+
+    def plant(name: str, config: Config, model: RobotModel) -> Plant:
+        made = make_plant(name, config, model)
+        monkeypatch.setattr(made, "step", lambda *_: signal.raise_signal(signal.SIGINT))
+        return made
+
+    monkeypatch.setattr(evidence, "make_plant", plant)
     with pytest.raises(KeyboardInterrupt):
         evidence._evaluate({name: row}, {name: row.made()}, 0, {"row": name, "engine": "physics", "seed": 1})
 
