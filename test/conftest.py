@@ -155,6 +155,12 @@ def robot(request: pytest.FixtureRequest) -> RobotModel:
 
 
 @pytest.fixture
+def clock() -> SteppedTime:
+    """A clock that a test advances."""
+    return SteppedTime(100.0)
+
+
+@pytest.fixture
 def domain() -> Iterator[int]:
     """A ROS domain that no other test uses."""
     with private_domain() as number:

@@ -19,8 +19,9 @@ from std_msgs.msg import String
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.safety import DuplicateStates, FaultCounter
+from dqwalk_ros.nodes.publishers import DuplicateStates
 from dqwalk_ros.nodes.state_gate import StateGate
+from dqwalk_ros.nodes.watchdog import FaultCounter
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support import provenance

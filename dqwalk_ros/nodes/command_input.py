@@ -1,6 +1,6 @@
 """Input of the plants: joint commands, checked on arrival.
 
-`messages` decodes the messages, `safety` decides which are accepted.
+`messages` decodes the messages, `command_gate` decides which are accepted.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from std_msgs.msg import Bool, String
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.safety import CommandGate, DuplicatePublishers
+from dqwalk_ros.nodes.command_gate import CommandGate
+from dqwalk_ros.nodes.publishers import DuplicatePublishers
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.base import stands_still
 from dqwalk_ros.robot.model import RobotModel

@@ -27,7 +27,7 @@ from dqwalk_ros.nodes.inertial_sensor import InertialSensor
 from dqwalk_ros.nodes.odometry import Odometry
 from dqwalk_ros.nodes.phase_publisher import PhasePublisher
 from dqwalk_ros.nodes.plant_readiness import PlantReadiness
-from dqwalk_ros.nodes.safety import FirstPublisher
+from dqwalk_ros.nodes.publishers import FirstPublisher
 from dqwalk_ros.nodes.steering import Steering
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot

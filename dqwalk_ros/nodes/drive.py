@@ -23,8 +23,9 @@ from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes import wheels
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.command_input import CommandInput
+from dqwalk_ros.nodes.publishers import FirstPublisher
 from dqwalk_ros.nodes.robot_controllers import RobotControllers
-from dqwalk_ros.nodes.safety import ClockSteps, FirstPublisher
+from dqwalk_ros.nodes.watchdog import ClockSteps
 from dqwalk_ros.plants.robot_output import commanded_joints, output_topic
 from dqwalk_ros.plants.servo_goals import JUMPS, ServoGoals
 from dqwalk_ros.robot.limits import outside_limits

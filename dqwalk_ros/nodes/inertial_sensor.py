@@ -1,4 +1,4 @@
-"""Input of the inertial sensor, checked on arrival by `state_gate.InertialGate`."""
+"""Input of the inertial sensor, checked on arrival by `InertialGate`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.state_gate import Felt, InertialGate
+from dqwalk_ros.nodes.inertial_gate import Felt, InertialGate
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.wording import shown

@@ -21,7 +21,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
-from dqwalk_ros.nodes.safety import JointOrder
+from dqwalk_ros.nodes.joint_order import JointOrder
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Inertial, upward
@@ -158,7 +158,7 @@ class JointReader:
         Raises
         ------
         StateError
-            As `safety.JointOrder`: an invalid message is rejected as a whole; or if its stamp is before 1970.
+            As `JointOrder`: an invalid message is rejected as a whole; or if its stamp is before 1970.
         """
         if msg.header.stamp.sec < 0:
             raise StateError(f"its stamp is {msg.header.stamp.sec} s, before 1970")

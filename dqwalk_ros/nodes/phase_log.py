@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from dqwalk_ros.config import Config, applies_from, from_yaml
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
-from dqwalk_ros.nodes.safety import ClockSteps
+from dqwalk_ros.nodes.watchdog import ClockSteps
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
 from dqwalk_ros.paper.walk import com_target

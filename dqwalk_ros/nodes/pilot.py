@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode
-from dqwalk_ros.nodes.safety import ClockSteps
+from dqwalk_ros.nodes.watchdog import ClockSteps
 from dqwalk_ros.support.topics import VELOCITY
 from dqwalk_ros.walks.course import Course
 

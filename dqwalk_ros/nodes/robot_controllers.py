@@ -14,7 +14,8 @@ from rclpy.publisher import Publisher
 from rclpy.task import Future
 
 from dqwalk_ros.nodes import messages as ros
-from dqwalk_ros.nodes.safety import UNKNOWN, Clock, DuplicatePublishers
+from dqwalk_ros.nodes.publishers import UNKNOWN, DuplicatePublishers
+from dqwalk_ros.nodes.watchdog import Clock
 from dqwalk_ros.plants.robot_output import misunderstood
 
 _CHECK = 0.25

@@ -8,7 +8,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.nodes.base import WalkNode, throttled
-from dqwalk_ros.nodes.safety import Watchdog
+from dqwalk_ros.nodes.watchdog import Watchdog
 
 _STILL = (0.0, 0.0, 0.0)
 

@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dqwalk_ros.config import from_yaml, load, to_yaml
-from dqwalk_ros.nodes.safety import JointOrder
+from dqwalk_ros.nodes.joint_order import JointOrder
 from dqwalk_ros.nodes.state_gate import StateGate
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.robot.model import load_model

@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from stepped_time import SteppedTime
 
 from dqwalk_ros.config import load
 from dqwalk_ros.robot.model import RobotModel, load_model
-
-
-@pytest.fixture
-def clock() -> SteppedTime:
-    return SteppedTime(100.0)
 
 
 @pytest.fixture(scope="module")

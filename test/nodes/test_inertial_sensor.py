@@ -11,8 +11,8 @@ from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.inertial_gate import InertialGate
 from dqwalk_ros.nodes.inertial_sensor import InertialSensor
-from dqwalk_ros.nodes.state_gate import InertialGate
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.support.errors import StateError
 

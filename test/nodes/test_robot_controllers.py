@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from dqwalk_ros.nodes.safety import UNKNOWN
+from dqwalk_ros.nodes.publishers import UNKNOWN
 
 
 def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:

@@ -26,8 +26,14 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 TARGETS = {
-    "dqwalk_ros/nodes/safety.py": ("nodes/test_safety.py",),
-    "dqwalk_ros/nodes/state_gate.py": ("nodes/test_state_gate.py",),
+    "dqwalk_ros/nodes/watchdog.py": ("nodes/test_watchdog.py", "nodes/test_state_gate.py"),
+    "dqwalk_ros/nodes/joint_order.py": ("nodes/test_joint_order.py",),
+    "dqwalk_ros/nodes/publishers.py": ("nodes/test_publishers.py",),
+    "dqwalk_ros/nodes/command_gate.py": ("nodes/test_command_gate.py",),
+    "dqwalk_ros/nodes/state_gate.py": ("nodes/test_state_gate.py", "nodes/test_inertial_gate.py"),
+    "dqwalk_ros/nodes/velocity_gate.py": ("nodes/test_state_gate.py",),
+    "dqwalk_ros/nodes/inertial_gate.py": ("nodes/test_inertial_gate.py",),
+    "dqwalk_ros/whole_body/nodes/body_gate.py": ("whole_body/test_body_gate.py",),
     "dqwalk_ros/nodes/phase_log.py": ("nodes/test_phase_log.py",),
     "dqwalk_ros/report/viewer/guard.py": ("report/test_viewer.py",),
     "dqwalk_ros/nodes/inertial_sensor.py": ("nodes/test_inertial_sensor.py",),

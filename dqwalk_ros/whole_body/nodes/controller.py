@@ -15,7 +15,6 @@ from sensor_msgs.msg import JointState
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.answering import AnsweringNode
-from dqwalk_ros.nodes.state_gate import BodyGate
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import StateError
@@ -23,6 +22,7 @@ from dqwalk_ros.support.topics import ODOM
 from dqwalk_ros.whole_body import controller as core
 from dqwalk_ros.whole_body.controller import BodyCommand, BodyState
 from dqwalk_ros.whole_body.hierarchy import Answer
+from dqwalk_ros.whole_body.nodes.body_gate import BodyGate
 
 _PARTS = 20
 """Most states of which messages are missing."""

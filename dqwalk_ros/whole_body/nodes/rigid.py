@@ -16,11 +16,11 @@ from sensor_msgs.msg import JointState
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.plant import SimulatedPlant
-from dqwalk_ros.nodes.state_gate import BodyGate
 from dqwalk_ros.robot.limits import clamp_effort
 from dqwalk_ros.support.errors import DqwalkError
 from dqwalk_ros.support.topics import EFFORT, ODOM
 from dqwalk_ros.whole_body.controller import BodyCommand, WholeBodyController
+from dqwalk_ros.whole_body.nodes.body_gate import BodyGate
 from dqwalk_ros.whole_body.preview import Stepping
 from dqwalk_ros.whole_body.rigid_plant import RigidPlant
 
