@@ -18,15 +18,12 @@ from dqwalk_ros.support.compiled import jit
 
 @dataclass(slots=True, eq=False)
 class Reading(Inertial):
-    """Measurements of all sensors at one time: `q`, `dq` and `effort` (n,) of the joints, and `Inertial`.
-
-    These are angles [rad], velocities [rad/s] and torques [N m]. The orientation of the inertial sensor is that in a
-    level world.
-    """
+    """Measurements of all sensors at one time; the orientation of the inertial sensor is that in a level world."""
 
     q: Array
     dq: Array
     effort: Array
+    """Angles [rad], velocities [rad/s] and torques [N m] of the joints, shape (n,)."""
 
 
 class Sensors:

@@ -60,19 +60,20 @@ class Measured:
 
 
 class _Limit(NamedTuple):
-    """A limit of a motor, by how much a reading exceeds it and how near it is a warning; both in words, and the remedy.
-
-    `alarm` is whether the motor itself reports that it is beyond its limit.
-    """
+    """A limit of a motor, and a reading of it."""
 
     kind: str
     at: float
     excess: float
+    """By how much the reading exceeds it."""
     near: float
+    """How near it is a warning."""
     reading: str
     beyond: str
+    """The reading, and that it is beyond the limit, in words."""
     remedy: str
     alarm: bool = False
+    """Whether the motor itself reports that it is beyond its limit."""
 
 
 def _joined(messages: Mapping[str, str]) -> str:

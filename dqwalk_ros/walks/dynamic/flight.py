@@ -16,22 +16,23 @@ from dqwalk_ros.walks.dynamic.swing import Swing
 
 @dataclass(eq=False)
 class Flight:
-    """The motion of the swing foot, and what its landing was adjusted for.
-
-    `goal` is the planned landing position, `up` its height over the sole that stands, and `shift` its displacement [m];
-    `lost` is the number of consecutive states whose error exceeds the threshold, `most` the largest error that the
-    ankle cannot compensate, and `outwards` the largest one away from the swing foot [m].
-    """
+    """The motion of the swing foot, and what its landing was adjusted for."""
 
     rule: Timed
     step: Step
     swing: Swing
     goal: Array
+    """Planned landing position, shape (2,) [m]."""
     up: float
+    """Its height over the sole that stands [m]."""
     shift: Array = field(default_factory=lambda: np.zeros(2))
+    """Displacement of the landing position, shape (2,) [m]."""
     lost: int = 0
+    """Number of consecutive states whose error exceeds the threshold."""
     most: float = 0.0
+    """Largest error that the ankle cannot compensate [m]."""
     outwards: float = 0.0
+    """Largest such error away from the swing foot [m]."""
 
     def landing(self, phase: Phase) -> Change:
         """Return the final position, to which the phase `phase` has moved its landing, and a text that explains it."""

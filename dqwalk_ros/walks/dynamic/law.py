@@ -35,21 +35,22 @@ GROUNDED = np.zeros(6), np.zeros(2), np.zeros(14)
 
 
 class Settings(NamedTuple):
-    """Constants of the control law.
-
-    `advance` is the delay of the drive less a period [s], `gain` that of the feedback, `unsure` the dead zone of the
-    inclination of a sole [rad], `margin` the distance of the CoP from the edges [m], `late` the time for which a foot
-    lands late [s], `reaction` the displacement of the CoP per acceleration of the swing foot [s^2], and
-    `height` that of the CoM [m].
-    """
+    """Constants of the control law."""
 
     advance: float
+    """Delay of the drive less a period [s]."""
     gain: float
+    """Of the feedback."""
     unsure: float
+    """Dead zone of the inclination of a sole [rad]."""
     margin: float
+    """Distance of the CoP from the edges [m]."""
     late: float
+    """Time for which a foot lands late [s]."""
     reaction: float
+    """Displacement of the CoP per acceleration of the swing foot [s^2]."""
     height: float
+    """Of the CoM [m]."""
 
 
 class Memory(NamedTuple):

@@ -154,21 +154,20 @@ class Pendulum:
 
 
 class Moving(NamedTuple):
-    """A `Pendulum` in the form that compiled code updates: its attributes, and the points (m, 2) under way.
-
-    `wait` is the time from a measurement to the beginning of the period in which its command acts, and `begins` (m,)
-    are the times since when the points act [s].
-    """
+    """A `Pendulum` in the form that compiled code updates: its attributes, and the zero-moment points under way."""
 
     omega: Array
     delay: float
     wait: float
+    """Time from a measurement to the beginning of the period in which its command acts [s]."""
     c: Array
     xi: Array
     smooth: Array
     pressure: Array
     begins: Array
+    """Times since when the points act, shape (m,) [s]."""
     points: Array
+    """Shape (m, 2) [m]."""
 
 
 MOVING = Record(Moving, VECTOR, FLOAT, FLOAT, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX)
