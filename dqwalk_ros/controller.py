@@ -23,7 +23,7 @@ from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.qp import make_solver
 from dqwalk_ros.paper.qp.infeasible import explained, lead_back
 from dqwalk_ros.paper.qp.problem import Problem, Shape, Solution, parts
-from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.state import Command, Estimate, State
 from dqwalk_ros.paper.walk import Walk
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
@@ -183,7 +183,7 @@ class VelocityController:
         assert begins is not None  # every walk has a phase
         return begins.support if begins.kind is PhaseKind.SINGLE_SUPPORT else begins.support.other
 
-    def step(self, state: State, dt: float) -> Command:
+    def step(self, measured: State, dt: float) -> Command:
         """Return the joint velocities for the next period.
 
         Parameters
@@ -200,10 +200,10 @@ class VelocityController:
         QPError
             If the quadratic program has no solution.
         """
-        if state.q.shape != (self.model.n,):
-            raise StateError(f"the state has {state.q.size} joints, the model {self.model.n}")
+        if measured.q.shape != (self.model.n,):
+            raise StateError(f"the state has {measured.q.size} joints, the model {self.model.n}")
         last = self._last_state
-        state = self._estimated(state)
+        state = self._estimated(measured)
         if self.phase_index < 0:
             self._begin_next_phase(state, self._kinematics(state, Foot.LEFT))
         elif last is not None and (held := state.time - last.time - self.config.plant.command_timeout) > 0.0:
@@ -228,19 +228,20 @@ class VelocityController:
         self._learn(state, u, effort, dt)
         return Command(state.time, u, effort)
 
-    def _estimated(self, state: State) -> State:
+    def _estimated(self, measured: State) -> Estimate:
         """Return the state with filtered vertical and angular velocity, and with joint velocities in any case."""
-        before, dq, up, gyro = self._last_state, state.dq, state.up, state.gyro
-        if before is not None and 0.0 < (passed := state.time - before.time) <= self.config.plant.command_timeout:
-            up = filtered_vertical(before.up, self._last_gyro, state, passed)
+        before, dq, up, gyro = self._last_state, measured.dq, measured.up, measured.gyro
+        if before is not None and 0.0 < (passed := measured.time - before.time) <= self.config.plant.command_timeout:
+            up = filtered_vertical(before.up, self._last_gyro, measured, passed)
             if dq is not None:
                 gyro = low_passed(before.gyro, gyro, self.config.servo.assumed_velocity_filter, passed)
             else:
-                dq = (state.q - before.q) / passed
-        self._last_gyro = state.gyro
-        return State(state.time, state.q, dq, up, gyro, state.acceleration, state.effort, state.forces)
+                dq = (measured.q - before.q) / passed
+        self._last_gyro = measured.gyro
+        given = measured.acceleration, measured.effort, measured.forces
+        return Estimate(measured.time, measured.q, dq, up, gyro, *given)
 
-    def _effort(self, kin: Kinematics, state: State, u: Array) -> Array | None:
+    def _effort(self, kin: Kinematics, state: Estimate, u: Array) -> Array | None:
         """Return the feedforward torques (n,) [N m], including damping; None without an inertial sensor."""
         if state.up is None:
             return None
@@ -255,7 +256,7 @@ class VelocityController:
         if self.predictor.drive is not drive:
             self.walk.use(self.predictor.drive)
 
-    def _evaluate(self, state: State, dt: float) -> tuple[Kinematics, Evaluation]:
+    def _evaluate(self, state: Estimate, dt: float) -> tuple[Kinematics, Evaluation]:
         """Return the kinematics at `state`, and the evaluation at the predicted state at which the command acts.
 
         Both are those of the present phase, which the walk may update first.

@@ -18,6 +18,7 @@ from dqwalk_ros.estimation.base import BaseEstimator
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.plants.base import Plant
 from dqwalk_ros.plants.kinematic import KinematicPlant
@@ -55,7 +56,7 @@ def warm_up(config: Config, model: RobotModel) -> None:
                 if (begins := walk.following(phase, kin)) is not None:
                     phase = walk.phase(begins.kind, begins.support, state.q, begins.swing_target)
                     kin = Kinematics(model, state.q, phase.base)
-                    walk.observe(phase, kin, state)
+                    walk.observe(phase, kin, Estimate(state.time, state.q))
                     phase.evaluate(state.q, kin.up, 0.0, config.dt, model.velocity_max)
             return
         estimator = BaseEstimator(config, model)

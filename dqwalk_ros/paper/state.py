@@ -1,4 +1,4 @@
-"""The state that a plant measures, and the command that it receives."""
+"""The state that a plant measures and a controller estimates, and the command that the plant receives."""
 
 from __future__ import annotations
 
@@ -30,11 +30,16 @@ class State:
     them, unless it is measured."""
     forces: Array | None = None
     """Force of the ground on the left and on the right sole, as sensors of the feet measure it, shape (2,) [N]."""
+
+
+@dataclass(slots=True, eq=False)
+class Estimate(State):
+    """A state as the controller knows it: filtered, and with what a walk needs besides the measurements."""
+
     loads: Array | None = None
-    """Force of the ground on the left and on the right sole along its vertical [N], which the controller fills in,
-    shape (2,); None if it is not known."""
+    """Force of the ground on the left and on the right sole along its vertical, shape (2,) [N]; None if not known."""
     elapsed: float = math.inf
-    """Time since the phase began [s], for the walk, which the controller fills in."""
+    """Time since the phase began [s]."""
 
 
 @dataclass(slots=True, eq=False)

@@ -30,7 +30,7 @@ from dqwalk_ros.paper.geometry import Cylinder, Line, Plane, X, Y, Z, wall_side
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import EndRule, Next, Phase, PhaseKind, Rule
 from dqwalk_ros.paper.qp.problem import Problem, Solution
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.paper.statics import gravity_torques
 from dqwalk_ros.paper.tasks import ComOverFoot, FramePose, Posture, Task
 from dqwalk_ros.support.arrays import Array
@@ -192,7 +192,7 @@ class Walk(ABC):
 
     # ------------------------------------------------------------------ update for every state
 
-    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+    def observe(self, phase: Phase, kin: Kinematics, state: Estimate) -> Change | None:
         """Process a measured state before its command is computed, and return what the walk changes in the phase.
 
         A walk with online planning updates the targets of the tasks of `phase` here.
@@ -203,7 +203,7 @@ class Walk(ABC):
         """Return the solution of the quadratic program of an evaluation by `solve`."""
         return solve(now.problem)
 
-    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
+    def effort(self, phase: Phase, kin: Kinematics, state: Estimate, u: Array) -> Array:
         """Return feedforward torques for the command `u` (n,), shape (n,) [N m]: by default they compensate gravity."""
         return gravity_torques(kin, both=phase.double)
 

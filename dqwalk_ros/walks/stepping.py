@@ -18,7 +18,7 @@ from dqwalk_ros.paper.geometry import Plane, Y
 from dqwalk_ros.paper.kinematics import Kinematics, point_at
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.qp.problem import Problem, Solution
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.paper.tasks import Task
 from dqwalk_ros.paper.walk import Change, Walk
 from dqwalk_ros.robot.limits import outside_limits
@@ -88,7 +88,7 @@ class SteppingWalk(Walk):
         """Return the tasks of the arms."""
         return () if self.arms is None else self.arms.tasks(base)
 
-    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+    def observe(self, phase: Phase, kin: Kinematics, state: Estimate) -> Change | None:
         """Set the tasks of the arms for a state; see `Walk.observe`."""
         if self.arms is not None:
             self.arms.update(phase, kin, state)
@@ -232,7 +232,7 @@ class SteppingWalk(Walk):
         return self._first if not to_left else Foot.RIGHT if to_left > 0.0 else Foot.LEFT
 
     def _stopped(
-        self, phase: Phase, kin: Kinematics, state: State, place: Array, velocity: Array, delay: float, least: float
+        self, phase: Phase, kin: Kinematics, state: Estimate, place: Array, velocity: Array, delay: float, least: float
     ) -> Change | None:
         """Return the change if an obstacle stops the swing foot; it must not be pushed on, or the robot falls.
 

@@ -8,7 +8,7 @@ import pytest
 import dqwalk_ros as dq
 from dqwalk_ros.controller import VelocityController
 from dqwalk_ros.estimation.delay import CommandHistory
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate, State
 from dqwalk_ros.studies import robustness
 from dqwalk_ros.walks.table import make_controller, make_walk
 
@@ -80,8 +80,8 @@ def test_servo_damping_is_fed_forward() -> None:
     controller = controller_with(assumed_damping=0.02)
     command = controller.step(state, 0.005)
     kin = controller._kinematics(state, controller.phase.base)
-    state.elapsed = 0.02
-    balance = controller.walk.effort(controller.phase, kin, state, command.velocity)
+    seen = Estimate(0.0, q, dq_, np.array(up), np.zeros(3), elapsed=0.02)
+    balance = controller.walk.effort(controller.phase, kin, seen, command.velocity)
     assert command.effort == pytest.approx(balance - 0.02 * 60.0 * (dq_ - command.velocity))
 
 

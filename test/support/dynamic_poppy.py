@@ -10,7 +10,7 @@ import dqwalk_ros as dq
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.walks.dynamic.plan import Support
 from dqwalk_ros.walks.dynamic.walk import DynamicWalk
 from dqwalk_ros.walks.following import FollowPose
@@ -38,10 +38,8 @@ def supports(length: float = 0.05, width: float = 0.08, first: float = 1.0, roll
     return [Support(aim, np.array([roll, 0.0]), 0.1, 0.4) for aim in aims]
 
 
-def still(time: float, q: np.ndarray, up: np.ndarray, elapsed: float) -> State:
-    state = State(time, q, dq=np.zeros(MODEL.n), up=up, gyro=np.zeros(3))
-    state.elapsed = elapsed
-    return state
+def still(time: float, q: np.ndarray, up: np.ndarray, elapsed: float) -> Estimate:
+    return Estimate(time, q, dq=np.zeros(MODEL.n), up=up, gyro=np.zeros(3), elapsed=elapsed)
 
 
 def swing_target(config: dq.Config, q: np.ndarray, before: np.ndarray, up: np.ndarray, ticks: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.simulation import simulate
@@ -94,7 +94,7 @@ def observed(walk: RecoveringWalk, beyond: float, *, up: bool = True, kind: str 
     kin = Kinematics(MODEL, walk.posture, Foot.LEFT)
     phase = walk.phase(PhaseKind(kind), Foot.LEFT, walk.posture, kin.pose(kin.swing))
     walk._beyond_sole = lambda *_: beyond  # type: ignore[method-assign]
-    change = walk.observe(phase, kin, State(0.0, walk.posture, up=np.array([0.0, 0.0, 1.0]) if up else None))
+    change = walk.observe(phase, kin, Estimate(0.0, walk.posture, up=np.array([0.0, 0.0, 1.0]) if up else None))
     assert change is None or change.walk is walk.steps
     return change is not None
 
@@ -139,7 +139,7 @@ def test_xi_is_beyond_the_sole_where_the_ankle_cannot_bring_it_back(
     along = 0.5 * sole.length - walk.steps.config.dynamic.catch_margin
     across = 0.5 * sole.width - walk.config.standing.pressure_margin
     inward = -1.0 if foot is Foot.LEFT else 1.0
-    state = State(0.0, walk.posture, np.zeros(MODEL.n), np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    state = Estimate(0.0, walk.posture, np.zeros(MODEL.n), np.array([0.0, 0.0, 1.0]), np.zeros(3))
     for x, y, beyond in (
         (along + 0.003, 0.0, 0.003),
         (-along - 0.003, 0.0, 0.003),

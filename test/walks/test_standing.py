@@ -22,7 +22,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import moved_inside
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
-from dqwalk_ros.paper.state import Command, State
+from dqwalk_ros.paper.state import Command, Estimate, State
 from dqwalk_ros.paper.statics import Soles, gravity_torques, ground_torques
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import bag
@@ -189,7 +189,7 @@ def test_balance_torques_follow_the_com_path_with_the_cop_inside_the_soles(kind:
     s, cut = CONFIG.standing, 0
     for seed in range(8):
         kin = Kinematics(MODEL, somewhere(seed, 0.1), phase.base, TILTED)
-        state = State(0.6, kin.q, 0.2 * np.random.default_rng(seed).normal(size=MODEL.n), up=TILTED, elapsed=0.6)
+        state = Estimate(0.6, kin.q, 0.2 * np.random.default_rng(seed).normal(size=MODEL.n), up=TILTED, elapsed=0.6)
         h, c, v = float(TILTED @ kin.com), kin.com_on_ground, (kin.com_jacobian @ state.dq)[:2]
         w, k = np.sqrt(9.80665 / h), s.balance
         _, v_d, a_d = reference(path, kin, 0.6)

@@ -13,7 +13,7 @@ from dqwalk_ros.config import Config, load
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.paper.walk import Change
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
@@ -110,7 +110,7 @@ class RecoveringWalk(StandingWalk):
         super().tune(config)
         self.steps.tune(_with_steps(config, self.steps.config))
 
-    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+    def observe(self, phase: Phase, kin: Kinematics, state: Estimate) -> Change | None:
         """Let the steps take over from a single support in which xi is beyond the sole."""
         change = super().observe(phase, kin, state)
         if change or state.up is None or not self._in_time or phase.kind is not PhaseKind.SINGLE_SUPPORT:
@@ -123,7 +123,7 @@ class RecoveringWalk(StandingWalk):
         text = f"steps catch a push: the divergent component is {1e3 * beyond:.0f} mm beyond what the sole supports"
         return Change(text, walk=self.steps)
 
-    def _beyond_sole(self, kin: Kinematics, state: State) -> float:
+    def _beyond_sole(self, kin: Kinematics, state: Estimate) -> float:
         """Return how far xi is beyond what the base sole supports, ahead, back or towards the swing foot [m]."""
         steps, sole = self.steps, self.model.soles[kin.base]
         _, xi = com_and_xi(kin, state, steps.pendulum.omega)

@@ -23,7 +23,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind, Timed
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.paper.statics import GRAVITY, Soles
 from dqwalk_ros.paper.walk import Change, com_target
 from dqwalk_ros.robot.model import RobotModel
@@ -303,7 +303,7 @@ class DynamicWalk(SteppingWalk):
 
     # ------------------------------------------------------------------ update for every state
 
-    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+    def observe(self, phase: Phase, kin: Kinematics, state: Estimate) -> Change | None:
         """Update the targets of the phase, adjust the step, and compute the desired ground reaction force."""
         super().observe(phase, kin, state)
         share, up, now = self._share(phase, state), kin.up, self._now
@@ -340,7 +340,7 @@ class DynamicWalk(SteppingWalk):
                 self._trunk_roll.switch(held)
         return change
 
-    def _answer(self, phase: Phase, rule: Timed, state: State, up: Array, t: float) -> None:
+    def _answer(self, phase: Phase, rule: Timed, state: Estimate, up: Array, t: float) -> None:
         """Set the targets of the tasks and the force of the ground, `t` [s] after the beginning of the phase."""
         flight = self._flight
         answer(
@@ -375,7 +375,7 @@ class DynamicWalk(SteppingWalk):
         _hold(phase, self._ground.tipped(least, 0.0, self._held_at))
 
     @staticmethod
-    def _share(phase: Phase, state: State) -> float:
+    def _share(phase: Phase, state: Estimate) -> float:
         """Return the fraction of the weight on the foot that is not the base of `phase`; none in single support."""
         if state.loads is None or phase.kind is PhaseKind.SINGLE_SUPPORT:
             return 0.0
@@ -429,7 +429,7 @@ class DynamicWalk(SteppingWalk):
             f"the double support lasts {1e3 * longer:.0f} ms longer, until the divergent component has arrived"
         )
 
-    def _meets(self, flight: Flight, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+    def _meets(self, flight: Flight, phase: Phase, kin: Kinematics, state: Estimate) -> Change | None:
         """Let the swing foot land where it is if it has met an obstacle, or a step that is higher than planned.
 
         Return that as a change. After an obstacle commanded footsteps are dropped. With ``gait.climb``, and if the
@@ -584,7 +584,7 @@ class DynamicWalk(SteppingWalk):
         inside = d.aim_inside + self._ground.inward * sole.width
         return stands.points(sole.center[:2] + np.array([d.aim_ahead, -side * inside]))
 
-    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
+    def effort(self, phase: Phase, kin: Kinematics, state: Estimate, u: Array) -> Array:
         """Return the feedforward torques for a ground reaction force through the zero-moment point, shape (n,) [N m].
 
         The joints of the swing leg are accelerated as commanded by `u` (n,) [rad/s].

@@ -17,7 +17,7 @@ from dqwalk_ros.paper.constraints import ComInsideEdges
 from dqwalk_ros.paper.geometry import moved_inside
 from dqwalk_ros.paper.kinematics import PLACE, Kinematics, Place, point, support_tree
 from dqwalk_ros.paper.phase import Phase
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.paper.statics import GRAVITY, SOLES, Soles, gravity_torques, ground_torques
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.by_address import FLOAT, INTEGERS, MATRIX, VECTOR, Record
@@ -74,7 +74,7 @@ class Balance:
         )
         self._table = _GIVEN.table(self._given)
 
-    def __call__(self, kin: Kinematics, state: State) -> Array:
+    def __call__(self, kin: Kinematics, state: Estimate) -> Array:
         """Return the joint torques (n,) [N m] that compensate gravity and accelerate the CoM towards its path.
 
         The desired acceleration is that of a linear inverted pendulum with feedback of its divergent component,

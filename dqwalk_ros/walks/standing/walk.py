@@ -19,7 +19,7 @@ from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.geometry import ConvexPolygon, Plane, Z
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.paper.walk import Change, pelvis_height
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
@@ -84,7 +84,7 @@ class StandingWalk(SteppingWalk):
         """Use a model of the servos: a foot is behind its path by their delay."""
         self._drive = drive
 
-    def observe(self, phase: Phase, kin: Kinematics, state: State) -> Change | None:
+    def observe(self, phase: Phase, kin: Kinematics, state: Estimate) -> Change | None:
         """End a swing that an obstacle stops; the next phase puts the foot down where it is."""
         change = super().observe(phase, kin, state)
         swing, rule = phase.tasks[0], phase.rule
@@ -181,7 +181,7 @@ class StandingWalk(SteppingWalk):
         s = self.config.standing
         return ComInsideEdges(name="edges", eta=s.eta_edges, bound=s.margin, return_speed=s.recovery, polygon=polygon)
 
-    def effort(self, phase: Phase, kin: Kinematics, state: State, u: Array) -> Array:
+    def effort(self, phase: Phase, kin: Kinematics, state: Estimate, u: Array) -> Array:
         """Return the torques that compensate gravity and balance the CoM on its path, shape (n,) [N m]."""
         if self._balance is None or self._balance.phase is not phase:
             self._balance = Balance(phase, self.config)

@@ -13,7 +13,7 @@ from dqwalk_ros.config import overlaid, with_files
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.state import State
+from dqwalk_ros.paper.state import Estimate
 from dqwalk_ros.plants.table import make_plant
 from dqwalk_ros.report import analyse, bag, report
 from dqwalk_ros.simulation import simulate
@@ -43,7 +43,7 @@ def test_a_foot_is_stopped_in_the_air_at_rest_behind_its_path(
     phase = walk.one_foot(Foot.LEFT, kin, kin.pose(kin.swing))
     velocity = np.array([0.2, 0.0])
     place = kin.point(kin.swing)[:2] + np.array([behind, 0.0]) + delay * velocity
-    found = walk._stopped(phase, kin, State(1.0, q, dq), place, velocity, delay, 0.1)
+    found = walk._stopped(phase, kin, Estimate(1.0, q, dq), place, velocity, delay, 0.1)
     assert (found is not None) is stopped
 
 
