@@ -121,62 +121,48 @@ def evidence(
     return 0 if all(end.stood for _, end in done) else 1
 
 
+_HEAD = ("row", "stood", "OK", "tilt\n[deg]", "landing\n[mm]", "inside\n[%]", "speed\n[m/s]", "ceiling", "touch")
+_LEGEND = """\
+worst of all walks, the speed is the median; in brackets the success rate proved with 95 % confidence;
+ceiling: the speed that the servos allow in steady steps; of pushes, what a pendulum on the soles catches
+in the weakest direction with the steps of the walk; a body that turns can bear more than a point mass
+touch: states in which links of the robot touch each other, by their collision shapes in MuJoCo"""
+
+
 def table(done: Sequence[tuple[Mapping[str, Any], WalkOutcome]], ceilings: Mapping[str, str]) -> str:
-    """Return a line per row and engine, with the ceilings of the rows, and why some did not stand or are not OK."""
+    """Return for each engine a line per row, with the ceilings of the rows, and why some did not stand or are not OK."""
+    engines: dict[str, dict[str, list[WalkOutcome]]] = {}
+    for point, end in done:
+        engines.setdefault(point["engine"], {}).setdefault(point["row"], []).append(end)
+    parts = []
+    for engine, rows in engines.items():
+        lines = [_line(row, ends, ceilings.get(row, "")) for row, ends in rows.items()]
+        parts += [f"{engine}:", "", aligned(lines, _HEAD, right=range(3, 9)), ""]
+    reasons = [f"{point['row']}, {point['engine']}: {without_numbers(end.reason)}" for point, end in done if end.reason]
+    if reasons:
+        reasons = ["", "what did not stand or is not OK:", *counted(reasons, 20)]
+    return "\n".join([*parts, _LEGEND, *reasons])
+
+
+def _line(row: str, ends: Sequence[WalkOutcome], ceiling: str) -> list[str]:
+    """Return the cells of a row: its worst numbers, and the median of its speeds."""
     from dqwalk_ros.studies.evidence import bounds
 
-    groups: dict[tuple[str, str], list[WalkOutcome]] = {}
-    for point, end in done:
-        groups.setdefault((point["row"], point["engine"]), []).append(end)
-
-    def share(count: int, total: int) -> str:
-        return f"{count} of {total} (>= {100.0 * bounds(count, total)[0]:.0f} %)"
+    def share(passed: Sequence[bool]) -> str:
+        return f"{sum(passed)}/{len(passed)} ({100.0 * bounds(sum(passed), len(passed))[0]:.0f} %)"
 
     def figure(values: Sequence[float | None], pick: Any, factor: float, digits: int) -> str:
         known = [value for value in values if value is not None]
         return f"{factor * pick(known):.{digits}f}" if known else ""
 
-    rows = [
-        [
-            *group,
-            share(sum(one.stood for one in ends), len(ends)),
-            share(sum(bool(one.ok) for one in ends), len(ends)) if any(one.ok is not None for one in ends) else "",
-            figure([one.tilt for one in ends], max, 180.0 / math.pi, 2),
-            figure([one.landing for one in ends], max, 1e3, 2),
-            figure([one.inside for one in ends], min, 100.0, 2),
-            figure([one.speed for one in ends], statistics.median, 1.0, 3),
-            ceilings.get(group[0], ""),
-            figure([one.touching for one in ends], max, 1.0, 0),
-        ]
-        for group, ends in groups.items()
+    return [
+        row,
+        share([one.stood for one in ends]),
+        share([bool(one.ok) for one in ends]) if any(one.ok is not None for one in ends) else "",
+        figure([one.tilt for one in ends], max, 180.0 / math.pi, 2),
+        figure([one.landing for one in ends], max, 1e3, 2),
+        figure([one.inside for one in ends], min, 100.0, 2),
+        figure([one.speed for one in ends], statistics.median, 1.0, 3),
+        ceiling,
+        figure([one.touching for one in ends], max, 1.0, 0),
     ]
-    head = (
-        "row",
-        "engine",
-        "stood",
-        "OK",
-        "tilt [deg]",
-        "landing [mm]",
-        "inside [%]",
-        "speed [m/s]",
-        "ceiling",
-        "touching",
-    )
-    text = aligned(rows, head, right=range(4, 10))
-    lines = [
-        text,
-        "",
-        "worst of all walks, the speed is the median; >= is the success rate proved with 95 % confidence;",
-        "ceiling: the speed that the servos allow in steady steps; of pushes, what a pendulum on the soles catches",
-        "in the weakest direction with the steps of the walk; a body that turns can bear more than a point mass",
-        "touching: states in which links of the robot touch each other, by their collision shapes in MuJoCo",
-    ]
-    reasons = [
-        f"{', '.join(group)}: {without_numbers(one.reason)}"
-        for group, ends in groups.items()
-        for one in ends
-        if one.reason
-    ]
-    if reasons:
-        lines += ["", "what did not stand or is not OK:", *counted(reasons, 20)]
-    return "\n".join(lines)

@@ -107,7 +107,7 @@ def test_the_bounds_are_those_at_which_the_count_has_a_chance_of_one_in_forty(co
         assert high == 1.0
 
 
-def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> None:
+def test_each_engine_has_a_table_with_a_line_per_row_and_the_proved_chance() -> None:
     done = [
         ({"row": "walk", "engine": "drake", "seed": k}, WalkOutcome(True, "", True, 0.01, 0.002, 0.99, 0.1, k))
         for k in range(19)
@@ -116,9 +116,10 @@ def test_the_table_has_a_line_per_row_and_engine_with_the_proved_chance() -> Non
     done += [({"row": "pushes", "engine": "drake", "foot": "left"}, WalkOutcome(True))]
     text = table(done, {"walk": "0.35 m/s"})
     walk = next(line for line in text.splitlines() if line.lstrip().startswith("walk"))
-    assert "19 of 20 (>= 75 %)" in walk
+    assert "19/20 (75 %)" in walk
     assert walk.split()[-7:] == ["0.57", "2.00", "99.00", "0.100", "0.35", "m/s", "18"]
-    assert "1 of 1 (>= " in text
+    assert "1/1 (3 %)" in text
+    assert text.startswith("drake:\n")
     assert "1 x walk, drake: fell" in text
 
 
