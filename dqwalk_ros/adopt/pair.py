@@ -15,6 +15,7 @@ import numpy as np
 from dqwalk_ros.adopt.legs import axes_differ, leg_of
 from dqwalk_ros.adopt.skeleton import Skeleton
 from dqwalk_ros.adopt.soles import foot_links, plane_below
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.geometry import X, Y, Z
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
@@ -143,10 +144,7 @@ def _upright(skeleton: Skeleton, pair: tuple[str, str]) -> Skeleton:
 
 def _with_up(skeleton: Skeleton, up: Array) -> Skeleton:
     """Return the skeleton turned such that a direction (3,) of its axes is z, by the least angle."""
-    z = up / np.linalg.norm(up)
-    axis = np.cross(z, Z)
-    across = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return skeleton.turned((np.eye(3) + across + across @ across / (1.0 + z[2])) @ skeleton.turn)  # Rodrigues
+    return skeleton.turned(DQ.facing(up / np.linalg.norm(up)).conj().rotation_matrix() @ skeleton.turn)
 
 
 def _stands(skeleton: Skeleton, pair: tuple[str, str]) -> bool:

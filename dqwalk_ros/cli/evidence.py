@@ -130,7 +130,7 @@ touch: states in which links of the robot touch each other, by their collision s
 
 
 def table(done: Sequence[tuple[Mapping[str, Any], WalkOutcome]], ceilings: Mapping[str, str]) -> str:
-    """Return for each engine a line per row, with the ceilings of the rows, and why some did not stand or are not OK."""
+    """Return a table per engine, with a line per row and its ceiling, and why some did not stand or are not OK."""
     engines: dict[str, dict[str, list[WalkOutcome]]] = {}
     for point, end in done:
         engines.setdefault(point["engine"], {}).setdefault(point["row"], []).append(end)

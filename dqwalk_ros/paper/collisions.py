@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqwalk_ros.config import Config
-from dqwalk_ros.paper.constraints import Constraint, Region, facing
+from dqwalk_ros.paper.constraints import Constraint, Region
+from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import CenterOfMass, Direction, Feature, Point
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.support.arrays import Array
@@ -326,4 +327,4 @@ class PointOverMovingPlane(Constraint):
 
     def region(self, kin: Kinematics) -> Region:
         """Return a part of the plane."""
-        return Region("plane", facing(self.origin.value(kin), self.normal.value(kin)), (0.2, 0.2))
+        return Region("plane", DQ.facing(self.normal.value(kin), self.origin.value(kin)).vec8(), (0.2, 0.2))

@@ -154,7 +154,8 @@ class PointInCylinder(Constraint):
         axis, p = self.cylinder.axis, self.point.value(kin)
         foot = np.cross(axis.l, axis.m)  # the axis' point closest to the origin
         height = max(0.012, _MARGIN * abs(float((p - foot) @ axis.l)))
-        return Region("cylinder", facing(foot + 0.5 * height * axis.l, axis.l), (self.cylinder.radius, height))
+        middle = DQ.facing(axis.l, foot + 0.5 * height * axis.l)
+        return Region("cylinder", middle.vec8(), (self.cylinder.radius, height))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +184,7 @@ class PointOverPlane(Affine, Constraint):
         """Return a part of the plane, below the point."""
         plane, p = self.plane, self.point.value(kin)
         center = p - (float(plane.n @ p) - plane.d) * plane.n
-        return Region("plane", facing(center, plane.n), (0.26, 0.26))
+        return Region("plane", DQ.facing(plane.n, center).vec8(), (0.26, 0.26))
 
 
 @jit
@@ -423,10 +424,3 @@ class JointMinimum(_OfAllJoints):
     def parameters(self) -> Array:
         """The limits, shape (n,) [rad]."""
         return self.q_min
-
-
-def facing(p: Array, z: Array) -> Array:
-    """Return a pose (8,) at `p` (3,) [m] whose z axis is the unit vector `z` (3,)."""
-    r = np.array([1.0 + z[2], -z[1], z[0], 0.0])
-    norm = float(np.linalg.norm(r))
-    return DQ.from_pose(p, r / norm if norm > 1e-9 else [0.0, 1.0, 0.0, 0.0]).vec8()

@@ -141,6 +141,13 @@ class DQ:
         r = qmul(z, qmul(y, x))
         return cls.from_pose(p, r if r[0] >= 0.0 else -r)
 
+    @classmethod
+    def facing(cls, z: Array, p: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
+        """Return the pose at p (3,) [m] whose z axis is the unit vector z (3,), turned there by the least angle."""
+        r = np.array([1.0 + z[2], -z[1], z[0], 0.0])
+        norm = float(np.linalg.norm(r))
+        return cls.from_pose(p, r / norm if norm > 1e-9 else (0.0, 1.0, 0.0, 0.0))
+
     # ------------------------------------------------------------------ parts
 
     def vec8(self) -> Array:

@@ -211,6 +211,4 @@ def upward(w: float, i: float, j: float, k: float) -> Array:
 
 def orientation_of(up: Array) -> Array:
     """Return a unit quaternion (4,), an orientation whose `upward` is the unit vector `up` (3,)."""
-    r = np.array([1.0 + up[2], up[1], -up[0], 0.0])
-    size = float(np.linalg.norm(r))
-    return r / size if size > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])
+    return DQ.facing(up).conj().vec4()

@@ -10,6 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from dqwalk_ros.paper.dual_quaternions import DQ, E, i, j, k, qconj, qmul
+from dqwalk_ros.paper.geometry import Z
 
 numbers = st.floats(-10.0, 10.0, allow_subnormal=False)
 vectors = arrays(float, 3, elements=numbers)
@@ -157,6 +158,15 @@ def test_the_rotation_vector_is_that_of_the_smaller_angle(angle, axis, p):
 def test_exp_inverts_log_at_limit_angles(angle):
     x = DQ.from_pose([1.0, 2.0, 3.0], DQ.rotation_about(angle, [0.6, 0.0, 0.8]).vec4())
     same(x.log().exp(), x)
+
+
+@given(directions(), vectors)
+def test_a_frame_that_faces_a_direction_is_turned_by_the_least_angle(z, p):
+    for way in (z, Z, -Z):
+        x = DQ.facing(way, p)
+        np.testing.assert_allclose(x.translation(), p, atol=1e-12)
+        np.testing.assert_allclose(x.rotation_matrix()[:, 2], way, atol=1e-8)
+        assert np.linalg.norm(x.rotation_vector()) == pytest.approx(np.arctan2(np.hypot(*way[:2]), way[2]), abs=1e-8)
 
 
 @pytest.mark.parametrize("start", [[0, 0, 0], [np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi]], ids=["1", "x", "y", "z"])
