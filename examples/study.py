@@ -17,5 +17,5 @@ if __name__ == "__main__":  # the processes import this file, too
         file = Path(folder) / "lengths.yaml"
         file.write_text(TEXT, encoding="utf-8")
         rows = walk_all(read(file), Path(folder) / "out", jobs=2)
-        for row in rows.values():
+        for row in rows:
             print(f"{row['gait.step_length']} m: finished {row['finished']}, {row['duration']} s, {row['steps']} steps")

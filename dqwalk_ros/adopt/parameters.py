@@ -301,10 +301,10 @@ def robot_entries(model: RobotModel, anatomy: Anatomy, lock: Sequence[str], free
     ]
 
 
-def _posture(model: RobotModel, standing: Standing, between: str) -> list[str]:
+def _posture(model: RobotModel, standing: Standing) -> list[str]:
     """Return the posture as name and angle of each joint that is not at zero."""
     angles = zip(model.joint_names, standing.q, strict=True)
-    return [f"{name}{between}{angle:.4f}" for name, angle in angles if abs(angle) > 5e-5]
+    return [f"{name}={angle:.4f}" for name, angle in angles if abs(angle) > 5e-5]
 
 
 def paper_parameters(numbers: Numbers) -> list[Entry]:
@@ -338,7 +338,7 @@ def whole_body_parameters(model: RobotModel, standing: Standing, numbers: Number
         Entry("gait.first_support", "right", "as the paper's robot"),
         Entry("whole_body.torso", anatomy.torso, "link that carries the arms"),
         Entry("whole_body.hand", anatomy.hands[Foot.RIGHT], "end of the right arm"),
-        Entry("whole_body.posture", _posture(model, standing, ": "), "soles level, knees bent by 9 % of the leg"),
+        Entry("whole_body.posture", _posture(model, standing), "soles level, knees bent by 9 % of the leg"),
         Entry(
             "whole_body.free",
             [*anatomy.legs[Foot.LEFT], *anatomy.legs[Foot.RIGHT], *anatomy.arms[Foot.RIGHT]],
@@ -395,7 +395,7 @@ def parameters(numbers: Numbers) -> list[Entry]:
         Entry("pelvis.height", rounded(0.7 * standing.pelvis), "0.7 of the standing height"),
         Entry(
             "standing.posture",
-            _posture(model, standing, "="),
+            _posture(model, standing),
             "soles level, knees bent by 4 % of the leg, CoM over the soles' middle",
         ),
         Entry("standing.margin", n.margin, "8 mm, or 0.15 of the sole's width"),

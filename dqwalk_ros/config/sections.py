@@ -519,7 +519,7 @@ class WholeBodyConfig:
 
     torso: str = parameter("chest", "link that is kept upright (S18), and on which pushes act")
     hand: str = parameter("R_hand", "link that reaches for the target (S17)")
-    posture: tuple[str, ...] = parameter((), "reference posture, 'JOINT: RADIANS'; joints not listed: zero")
+    posture: tuple[str, ...] = parameter((), "reference posture, JOINT=RADIANS; joints not listed: zero")
     free: tuple[str, ...] = parameter((), "joints that are only damped, without reference (S19); '*' matches any text")
 
     interval: float = parameter(0.1, "T, the preview's sampling interval (S10); larger: coarser", "s", 0.01, 1.0)

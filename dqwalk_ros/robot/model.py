@@ -27,6 +27,7 @@ from dqwalk_ros.robot.urdf import Urdf, moves, pose_of
 from dqwalk_ros.robot.urdf_file import LARGEST
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.cache import remembered
+from dqwalk_ros.support.entries import numbers
 from dqwalk_ros.support.errors import ConfigError, ModelError
 from dqwalk_ros.support.wording import one_line
 
@@ -194,15 +195,15 @@ class RobotModel:
             raise ConfigError(f"{key} names '{pattern}'; the joints are {', '.join(self.joint_names)}")
         return found
 
-    def posture(self, entries: Sequence[str], key: str = "standing.posture", between: str = "=") -> Array:
+    def posture(self, entries: Sequence[str], key: str = "standing.posture") -> Array:
         """Return the joint angles of a posture, shape (n,) [rad]; joints without an entry are at zero.
 
         Parameters
         ----------
         entries : sequence of str
             JOINT=RADIANS, where '*' in JOINT matches any text.
-        key, between : str
-            Name of the parameter in error messages, and the character between joint and angle.
+        key : str
+            Name of the parameter in error messages.
 
         Raises
         ------
@@ -210,15 +211,8 @@ class RobotModel:
             If an entry has another form or matches no moving joint.
         """
         q = np.zeros(self.n)
-        for entry in entries:
-            name, _, text = entry.partition(between)
-            try:
-                angle = float(text)
-            except ValueError:
-                angle = math.nan
-            if not math.isfinite(angle):
-                raise ConfigError(f"{key} has '{entry}'; it must be JOINT{between}RADIANS")
-            q[self.matching(name.strip(), key)] = angle
+        for name, angle in numbers(entries, key, "JOINT=RADIANS"):
+            q[self.matching(name, key)] = angle
         return q
 
     @property
@@ -341,14 +335,9 @@ def _model(urdf: Urdf, config: RobotConfig, *, published: bool) -> RobotModel:
 def _payload(config: RobotConfig, urdf: Urdf) -> dict[str, tuple[str, float]]:
     """Return the loads of ``robot.payload`` by the names of the links that represent them: link and mass [kg]."""
     loads = {}
-    for entry in config.payload:
-        link, _, word = (part.strip() for part in entry.partition("="))
-        try:
-            mass = float(word)
-        except ValueError:
-            mass = math.nan
+    for link, mass in numbers(config.payload, "robot.payload", "LINK=MASS in kg"):
         if not 0.0 < mass < LARGEST:
-            raise ModelError(f"robot.payload has '{entry}'; an entry is LINK=MASS in kg")
+            raise ModelError(f"robot.payload: the mass of '{link}' is {mass:g} kg")
         if link not in urdf.links:
             raise ModelError(f"{urdf.source}: robot.payload names the link '{link}', which is missing or was dropped")
         if f"{link}_payload" in loads:
@@ -371,17 +360,10 @@ def _sole_frame(urdf: Urdf, config: RobotConfig, foot: Foot) -> str:
 def _locked(urdf: Urdf, config: RobotConfig, published: bool) -> dict[str, float]:
     """Return the joints to be fixed, with their angles [rad]: those of ``robot.lock``, and joints with a mimic."""
     angles: dict[str, float] = {}
-    for entry in config.lock:
-        pattern, given, word = entry.partition("=")
-        try:
-            angle = float(word) if given else 0.0
-        except ValueError:
-            angle = math.nan
-        if not math.isfinite(angle):
-            raise ModelError(f"robot.lock has '{entry}'; an entry is JOINT or JOINT=RADIANS")
-        for name in urdf.matching([pattern.strip()], "robot.lock", strict=not published):
-            if given or name not in angles:
-                angles[name] = angle
+    at_zero = [(entry.strip(), 0.0) for entry in config.lock if "=" not in entry]
+    at_angles = numbers((entry for entry in config.lock if "=" in entry), "robot.lock", "JOINT or JOINT=RADIANS")
+    for pattern, angle in [*at_zero, *at_angles]:
+        angles |= dict.fromkeys(urdf.matching([pattern], "robot.lock", strict=not published), angle)
     for joint in urdf.joints.values():
         led = joint.mimic
         if led and joint.name not in angles:

@@ -127,7 +127,7 @@ class WholeBodyController:
         self._body = Multibody(model, dict.fromkeys([*self._soles.values(), settings.torso, settings.hand, *own]))
         self.weight = self._body.mass * GRAVITY
         self.stepping = Stepping.of(config)
-        posture = model.posture(settings.posture, "whole_body.posture", ":")
+        posture = model.posture(settings.posture, "whole_body.posture")
         self._start = self._body.stand(posture, settings.feet_distance, settings.torso)
         still = self._body.at(*self._start, np.zeros(self._body.nv))
         self.point_mass = PointMass(float(still.com[2]), settings.interval, settings.intervals)

@@ -139,8 +139,8 @@ def leaning(axis: int, degrees: float) -> Inertial:
 @pytest.mark.parametrize(
     ("plant", "change", "reason"),
     [
-        ("poppy", "poppy.calibration=[l_hipy=2.0]", "'l_hipy=2.0' should be JOINT=DEGREES"),
-        ("poppy", "poppy.calibration=['l_hip_y=2,0']", "'l_hip_y=2,0' should be JOINT=DEGREES"),
+        ("poppy", "poppy.calibration=[l_hipy=2.0]", "no motor moves 'l_hipy'; the joints are "),
+        ("poppy", "poppy.calibration=['l_hip_y=2,0']", "has 'l_hip_y=2,0'; it must be JOINT=DEGREES"),
         ("poppy", "poppy.calibration=[l_hip_y=2, l_hip_y=3]", "l_hip_y is given twice"),
         ("poppy", "poppy.motors=nowhere", "no table of motors 'nowhere'"),
         ("poppy", "poppy.rate=20", "the motors answer every 0.05 s"),

@@ -198,8 +198,8 @@ def test_invalid_arguments_are_errors() -> None:
     with pytest.raises(PlantError, match="torques"):
         plant.step(replace(command, effort=np.full(MODEL.n, np.nan)), CONFIG.dt)
     for key, value, message in (
-        ("posture", ["L_kne: 0.8"], "L_kne"),
-        ("posture", ["L_knee: much"], "L_knee: much.*JOINT:RADIANS"),
+        ("posture", ["L_kne=0.8"], "L_kne"),
+        ("posture", ["L_knee=much"], "L_knee=much.*JOINT=RADIANS"),
         ("free", ["X_*"], "X_"),
         ("hand", "third_hand", "third_hand"),
     ):

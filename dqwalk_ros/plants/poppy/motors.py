@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Mapping
 from typing import Annotated
@@ -14,6 +13,7 @@ from dqwalk_ros.plants.base import require_real_time
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import ServoType, load_types
 from dqwalk_ros.support import strict_yaml
+from dqwalk_ros.support.entries import numbers
 from dqwalk_ros.support.errors import ConfigError
 
 _Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
@@ -110,14 +110,11 @@ def calibration(entries: tuple[str, ...], motors: Mapping[str, Motor]) -> dict[s
         If a text is something else, or names no motor.
     """
     out = dict[str, float]()
-    for entry in entries:
-        name, _, value = entry.partition("=")
-        try:
-            degrees = float(value)
-        except ValueError:
-            degrees = math.nan
-        if name not in motors or not abs(degrees) <= 45.0:
-            raise ConfigError(f"poppy.calibration: '{entry}' should be JOINT=DEGREES, at most 45, such as l_hip_y=-3")
+    for name, degrees in numbers(entries, "poppy.calibration", "JOINT=DEGREES, such as l_hip_y=-3"):
+        if name not in motors:
+            raise ConfigError(f"poppy.calibration: no motor moves '{name}'; the joints are {', '.join(motors)}")
+        if abs(degrees) > 45.0:
+            raise ConfigError(f"poppy.calibration: {name} is off by {degrees:g} degrees, 45 at most")
         if name in out:
             raise ConfigError(f"poppy.calibration: {name} is given twice")
         out[name] = degrees
