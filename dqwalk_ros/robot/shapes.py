@@ -132,12 +132,18 @@ class Shapes:
         """Return the corners of the convex hull of a link's surfaces; None for a link without any."""
         key = name, which
         if key not in self._hulls:
-            found = [surface.vertices for surface in self.of(name, which)]
-            self._hulls[key] = _corners(np.concatenate(found)) if found else None
+            link = self._links[name]
+            surfaces = (self.surface(link, shape, hull=True) for shape in getattr(link, which))
+            found = [surface.vertices for surface in surfaces if surface is not None]
+            one = found[0] if len(found) == 1 else None  # only corners already
+            self._hulls[key] = _corners(np.concatenate(found)) if len(found) > 1 else one
         return self._hulls[key]
 
-    def surface(self, link: Link, shape: Visual | Collision) -> Surface | None:
-        """Return a shape of a link as triangles; None if its mesh is not available, for the reason in `missing`."""
+    def surface(self, link: Link, shape: Visual | Collision, *, hull: bool = False) -> Surface | None:
+        """Return a shape of a link as triangles; None if its mesh is not available, for the reason in `missing`.
+
+        With `hull`, a mesh has only the corners of its convex hull, and no triangles.
+        """
         kind, size = kind_and_size(shape)
         if kind == "mesh":
             name = shape.geometry.mesh.filename
@@ -146,7 +152,7 @@ class Shapes:
                 self.missing[name] = "not found"
                 return None
             try:
-                vertices, faces, y_up = _mesh(str(file))
+                vertices, faces, y_up = (_mesh_hull if hull else _mesh)(str(file))
             except Exception as error:  # the reader of each mesh format raises its own exceptions
                 self.missing[name] = " ".join(str(error).split())[:100] or type(error).__name__
                 return None
@@ -330,6 +336,13 @@ def _mesh(file: str) -> tuple[Array, NDArray[np.int64], bool]:
     return vertices, np.asarray(mesh.faces, dtype=np.int64), y_up
 
 
+@lru_cache(maxsize=512)
+def _mesh_hull(file: str) -> tuple[Array, NDArray[np.int64], bool]:
+    """Return what `_mesh` does, with the corners of the convex hull and no faces."""
+    vertices, _, y_up = _mesh(file)
+    return _corners(vertices), np.empty((0, 3), np.int64), y_up
+
+
 def _closer_turned(vertices: Array, com: Array) -> float:
     """Return the logarithm of the factor by which a mesh (N, 3) is closer to a point (3,) after a turn to z up."""
 
@@ -342,7 +355,8 @@ def _closer_turned(vertices: Array, com: Array) -> float:
     return math.log(max(distance(vertices), 1e-6) / max(distance(vertices @ _Y_UP.T), 1e-6))
 
 
-def _primitive(kind: str, size: Sequence[float]) -> tuple[Array, NDArray[np.int64]]:
+@lru_cache(maxsize=512)
+def _primitive(kind: str, size: tuple[float, ...]) -> tuple[Array, NDArray[np.int64]]:
     """Return vertices (N, 3) [m] and faces (M, 3) of one of `PRIMITIVES`."""
     import trimesh
 

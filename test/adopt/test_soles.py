@@ -41,6 +41,26 @@ def test_points_of_contact_span_a_sole(tmp_path: Path) -> None:
     assert "collision" in found.source
 
 
+def test_a_capsule_that_leans_reaches_no_further_down_than_its_round_ends(tmp_path: Path) -> None:
+    """As the feet of humanoids in MJCF: a cylinder of the same length reaches below them."""
+
+    def capsules(box: re.Match[str]) -> str:
+        x, y, z = map(float, box[1].split())
+        out = ""
+        for side in (-0.03, 0.03):
+            for front in (-1.0, 1.0):  # from the middle down to heel and toe
+                origin = f'xyz="{x + front * 0.025} {y + side} {z + 0.01 - 0.0066}" rpy="0 {front * 1.951302703907} 0"'
+                geometry = '<geometry><capsule radius="0.01" length="0.0538516"/></geometry>'
+                out += f"<collision><origin {origin}/>{geometry}</collision>"
+        return out
+
+    foot = rf'<collision>\s*<origin xyz="([^"]*)"/>\s*<geometry>{FOOT_BOX}</geometry>\s*</collision>'
+    path = tmp_path / "capsules.urdf"
+    path.write_text(re.sub(foot, capsules, SMALL.read_text()))
+    found, plain = (anatomy_of(Urdf.load(file)).soles[Foot.LEFT] for file in (path, SMALL))
+    assert found.pose.translation()[2] == pytest.approx(plain.pose.translation()[2] - 0.01, abs=2e-4)
+
+
 def test_a_long_sole_may_be_narrow_but_not_one_like_a_point(tmp_path: Path) -> None:
     """As Unitree's H1, whose soles are 300 x 30 mm, and which does the dynamic walk."""
     box = '<box size="0.1265 0.0825 0.0132"/>'
@@ -144,3 +164,16 @@ def test_a_round_foot_is_not_blamed_on_a_mesh_of_another_link(tmp_path: Path) ->
     lost = r'(<link name="trunk">.*?<geometry>\s*)<box [^>]*/>', r'\1<mesh filename="lost.stl"/>'
     with pytest.raises(ModelError, match=r"round below$"):
         anatomy_of(read(tmp_path, ("<box [^>]*0132[^>]*>", '<sphere radius="0.03"/>'), lost))
+
+
+def test_a_mesh_has_one_convex_hull_however_its_link_is_turned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that is no biped is looked at with each link as its root."""
+    trimesh.creation.icosphere(subdivisions=3, radius=0.02).export(tmp_path / "ball.stl")
+    urdf = read(tmp_path, (FOOT_BOX, '<mesh filename="ball.stl"/>'))
+    shapes, corners, counts = Shapes(urdf, tmp_path / "robot.urdf"), shapes_of._corners, list[int]()
+    monkeypatch.setattr(shapes_of, "_corners", lambda points: counts.append(len(points)) or corners(points))
+    for root in ("l_foot", "trunk"):
+        urdf.reroot(root)
+        shapes.forget()
+        assert len(shapes.hulls(["l_foot", "r_foot"])[0]) == 2
+    assert len(counts) == 1
