@@ -98,10 +98,11 @@ class Urdf:
             if (length := float(element.get("length", 0.0))) < 0.0:
                 self.repairs.append(f"{place(element)} has the negative length {length:g}: taken as positive")
                 element.set("length", repr(-length))
-        for capsule in [*root.iter("capsule")]:
-            self.repairs.append(f"{place(capsule)} is taken as a cylinder of the same extent")
-            length = float(capsule.get("length", "")) + 2.0 * float(capsule.get("radius", ""))
-            capsule.tag, capsule.attrib["length"] = "cylinder", repr(length)
+        for shape in [*root.iter("collision"), *root.iter("visual")]:
+            if (capsule := shape.find("geometry/capsule")) is not None:
+                self.repairs.append(f"{place(capsule)} is taken as a cylinder between two spheres, of the same extent")
+                link = next(link for link in root.iter("link") if shape in link)
+                _round_ends(link, shape, capsule)
         for element in root.iter():
             angles = [float(word) for origin in element.findall("origin") for word in origin.get("rpy", "0").split()]
             if angles and max(map(abs, angles)) > _TURN:
@@ -455,6 +456,26 @@ def _inertial(
     origin = np.eye(4)
     origin[:3, 3] = com
     return yourdfpy.Inertial(origin, mass, np.zeros((3, 3)) if inertia is None else inertia)
+
+
+def _round_ends(link: ElementTree.Element, shape: ElementTree.Element, capsule: ElementTree.Element) -> None:
+    """Make the `capsule` of a `shape` of a link a cylinder, which a URDF has, and add spheres at its ends."""
+    radius, length = capsule.get("radius", ""), float(capsule.get("length", ""))
+    origin = shape.find("origin")
+    xyz, rpy = (
+        [float(x) for x in ("0 0 0" if origin is None else origin.get(key, "0 0 0")).split()] for key in ("xyz", "rpy")
+    )
+    pose = DQ.from_roll_pitch_yaw(rpy, xyz)
+    for end in (-0.5, 0.5) if length else (0.0,):
+        other = ElementTree.SubElement(link, shape.tag)
+        at = " ".join(repr(float(x)) for x in pose.transform_point([0.0, 0.0, end * length]))
+        ElementTree.SubElement(other, "origin", {"xyz": at})
+        ElementTree.SubElement(ElementTree.SubElement(other, "geometry"), "sphere", {"radius": radius})
+        other.extend(shape.findall("material"))
+    if length:
+        capsule.tag = "cylinder"
+    else:
+        link.remove(shape)
 
 
 def _fix(joint: Joint, angle: float = 0.0) -> None:

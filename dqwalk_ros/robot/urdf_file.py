@@ -236,7 +236,7 @@ def _wrong_numbers(element: ElementTree.Element) -> Iterator[str]:
 
 
 def _leave_out(root: ElementTree.Element) -> list[str]:
-    """Leave out joints that name a link that is not there, and the parts that they cut off; return what is said of it.
+    """Leave out joints that name a link that is not there, and parts that no joint carries; return what is said of it.
 
     What is left is the largest part. Nothing is left out if it has less than half of the links.
     """
@@ -246,14 +246,15 @@ def _leave_out(root: ElementTree.Element) -> list[str]:
         for joint in root.findall("joint")
     }
     wrong = {joint: [end for end in pair.values() if end not in links] for joint, pair in ends.items()}
-    if not any(wrong.values()):
-        return []
     parents = {pair["child"]: pair["parent"] for joint, pair in ends.items() if not wrong[joint]}
     tops = {name: name for name in links}
     for name in links:
         for _ in parents:  # as often as there are joints, if they are a loop
             tops[name] = parents.get(tops[name], tops[name])
-    kept, count = max(((top, [*tops.values()].count(top)) for top in tops.values()), key=lambda one: one[1])
+    parts = dict.fromkeys(tops.values())
+    if not any(wrong.values()) and (len(parts) < 2 or any(top in parents for top in parts)):
+        return []
+    kept, count = max(((top, [*tops.values()].count(top)) for top in parts), key=lambda one: one[1])
     if 2 * count <= len(links):
         return []
     for joint, pair in ends.items():
@@ -262,10 +263,13 @@ def _leave_out(root: ElementTree.Element) -> list[str]:
     for name in [name for name, top in tops.items() if top != kept]:
         root.remove(links[name])
     more = f", with {len(links) - count} of {len(links)} links that it carries" if count < len(links) else ""
+    lost = {joint: names[0] for joint, names in wrong.items() if names}
     return [
-        f"{place(joint)} names '{lost[0][:80]}', and there is no such link: left out{more}"
-        for joint, lost in wrong.items()
-        if lost
+        f"{place(joint)} names '{name[:80]}', and there is no such link: left out{more}" for joint, name in lost.items()
+    ] or [
+        f"{place(links[top])} is carried by no joint: left out with what it carries, as the robot is '{kept[:80]}'"
+        for top in parts
+        if top != kept
     ]
 
 

@@ -13,6 +13,7 @@ from robots import edited
 from small_humanoid import FOOT_BOX, SMALL, anatomy_of, read
 
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.robot import shapes as shapes_of
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.errors import ModelError

@@ -111,6 +111,10 @@ REPAIRED = {
         robot(A, B, link("c"), J, joint("k", "wrist", "c")),
         "line 6: <joint> 'k' names 'wrist', and there is no such link: left out, with 1 of 3 links that it carries",
     ),
+    "carried by no joint": (
+        robot(A, B, link("c"), J),
+        "line 4: <link> 'c' is carried by no joint: left out with what it carries, as the robot is 'a'",
+    ),
     "no name of the robot": ("<robot><link name='a'/></robot>", ""),
     "declared late": ("\n<!-- a -->\n<?xml version='1.0'?>\n" + robot(A), ""),
     "many links": (robot(A, *(link(f"l{i}") + joint(f"j{i}", "a", f"l{i}", "fixed") for i in range(500))), ""),
@@ -127,7 +131,7 @@ REPAIRED = {
     ),
     "capsule": (
         robot(link("a", more='<collision><geometry><capsule radius="1" length="2"/></geometry></collision>')),
-        "line 2: <capsule> is taken as a cylinder of the same extent",
+        "line 2: <capsule> is taken as a cylinder between two spheres, of the same extent",
     ),
     "no color": (
         robot(
