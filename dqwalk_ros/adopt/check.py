@@ -189,6 +189,9 @@ def _step(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     length = config.gait.step_length
     walk = make_walk(config, model) if config.gait.style == "dynamic" else None  # it carries the CoM less far
     steps = walk.footsteps if isinstance(walk, SteppingWalk) else Footsteps(config, model, q)
+    if why := steps.not_beside():
+        yield Finding(why, "gait.step_width", "step")
+        return
     reached, stuck = steps.reach(length)
     if abs(reached) < _REACHED * abs(length):
         why = f": {', '.join(stuck)} at the limit" if stuck else ""

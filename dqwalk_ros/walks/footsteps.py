@@ -127,6 +127,8 @@ class Footsteps:
     def reach(self, length: float) -> tuple[float, tuple[str, ...]]:
         """Return the length of the shorter step of both feet within the reach of the legs, and the joints at a limit.
 
+        It is 0 if a foot does not reach its place beside the other one.
+
         Parameters
         ----------
         length : float
@@ -134,10 +136,22 @@ class Footsteps:
         """
         found = []
         for support in Foot:
-            reached = self.nearest(support, self.wanted(support, length, 0.0, 0.0))
             beside = self.wanted(support, 0.0, 0.0, 0.0)
+            reached = self.nearest(support, beside)
+            if self._out_of_reach(reached, beside):
+                found.append((0.0, reached.at_limit))
+                continue
+            reached = self.nearest(support, self.wanted(support, length, 0.0, 0.0))
             found.append((float((DQ(reached.pose).translation() - DQ(beside).translation())[0]), reached.at_limit))
         return min(found, key=lambda one: abs(one[0]))
+
+    def not_beside(self) -> str:
+        """Return why a foot does not reach its place beside the other one, from which steps begin; or ``""``."""
+        for support in Foot:
+            beside = self.wanted(support, 0.0, 0.0, 0.0)
+            if why := self._out_of_reach(self.nearest(support, beside), beside):
+                return f"the place of the {support.other.value} foot beside the other one is {why}"
+        return ""
 
     def wanted(self, support: Foot, length: float, side: float, turn: float) -> Array:
         """Return the landing pose of `step` without regard to the reach of the legs, shape (8,)."""
@@ -236,17 +250,25 @@ class Footsteps:
                 f"{1e3 * gap:.0f} mm beside the other sole; standing.sole_gap is {1e3 * s.sole_gap:.0f} mm"
             )
         reached = self.nearest(support, wanted)
-        off_by = DQ(flat(wanted, stair_height(height, self.config))).conj() * DQ(reached.pose)
+        if why := self._out_of_reach(reached, wanted):
+            raise StateError(why)
+        return reached.pose
+
+    def _out_of_reach(self, reached: Reached, wanted: Array) -> str:
+        """Return by how much and why the footprint `reached` is not that of `wanted` (8,); empty if it is."""
+        most = self.config.gait.footstep_tolerance
+        height = stair_height(float(DQ(wanted).translation()[2]), self.config)
+        off_by = DQ(flat(wanted, height)).conj() * DQ(reached.pose)
         far = max(float(np.linalg.norm(off_by.translation())), reached.missed)
         angle = abs(float(off_by.rotation_vector()[2]))
-        if max(far, s.lever * angle) > gait.footstep_tolerance:
-            where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached.pose).translation()[:2])
-            why = f"{', '.join(reached.at_limit)} at the limit" if reached.at_limit else "no free ankle joint"
-            raise StateError(
-                f"out of reach by {1e3 * far:.0f} mm and {math.degrees(angle):.1f} deg ({why}); the nearest is at "
-                f"{where} mm in the other sole, gait.footstep_tolerance is {1e3 * gait.footstep_tolerance:.0f} mm"
-            )
-        return reached.pose
+        if max(far, self.config.standing.lever * angle) <= most:
+            return ""
+        where = ", ".join(f"{1e3 * v:.0f}" for v in DQ(reached.pose).translation()[:2])
+        why = f"{', '.join(reached.at_limit)} at the limit" if reached.at_limit else "no free ankle joint"
+        return (
+            f"out of reach by {1e3 * far:.0f} mm and {math.degrees(angle):.1f} deg ({why}); the nearest is at "
+            f"{where} mm in the other sole, gait.footstep_tolerance is {1e3 * most:.0f} mm"
+        )
 
     def nearest(self, support: Foot, wanted: Array) -> Reached:
         """Return the reachable pose of the level swing sole nearest to `wanted` (8,).

@@ -59,6 +59,15 @@ def test_footsteps_are_moved_within_the_tolerance_to_be_reachable() -> None:
     assert 1e-3 < np.linalg.norm(error) < CONFIG.gait.footstep_tolerance
 
 
+def test_a_walk_whose_feet_do_not_reach_their_places_beside_each_other_does_not_begin() -> None:
+    """Its footprints would be moved aside, and steps of 18 mm would become steps of 70 mm."""
+    wide = CONFIG.updated({"gait.steps": 2, "gait.step_width": 0.3})
+    walk = StandingWalk(wide, MODEL)
+    assert walk.footsteps.reach(wide.gait.step_length)[0] == 0.0
+    with pytest.raises(ConfigError, match=r"gait\.step_width: the place of the right foot beside the .* out of reach"):
+        walk.prepare()
+
+
 # ---------------------------------------------------------------------- heights
 
 DYNAMIC = load("poppy_dynamic").updated({"gait.steps": 0, "gait.most_length": 0.13})

@@ -24,7 +24,7 @@ from dqwalk_ros.paper.walk import Change, pelvis_height
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.robot.servos import Drive
 from dqwalk_ros.support.arrays import Array
-from dqwalk_ros.support.errors import PhaseError
+from dqwalk_ros.support.errors import ConfigError, PhaseError
 from dqwalk_ros.walks.following import ComPath, SwingPath
 from dqwalk_ros.walks.footprint import flat
 from dqwalk_ros.walks.standing.balance import Balance
@@ -49,6 +49,18 @@ class StandingWalk(SteppingWalk):
         if commanded := len(config.gait.footsteps):
             return 2 * commanded + 2
         return 2 * config.gait.steps + 3 if config.gait.steps else 0
+
+    def prepare(self) -> None:
+        """Check the steps; without commanded ones, that each foot reaches its place beside the other one.
+
+        Raises
+        ------
+        ConfigError
+            If it does not; see also `SteppingWalk.prepare`.
+        """
+        super().prepare()
+        if not self.config.gait.footsteps and (why := self.footsteps.not_beside()):
+            raise ConfigError(f"gait.step_width: {why}")
 
     # ------------------------------------------------------------------ order
 
