@@ -99,7 +99,8 @@ def first_walks(
 ) -> Iterator[tuple[Trial, str]]:
     """Walk in kinematics, then in physics; after a fall try cures until one helps: in physics those of `cures`.
 
-    In kinematics it is that the posture weighs less. There is no walk if the trunk has to lean. Yields each walk and a
+    In kinematics it is that the posture weighs less. There is no walk if the trunk has to lean, or if the legs reach no
+    step. Yields each walk and a
     description of the cures applied to it, empty for the derived parameters. ``robot.yaml`` and ``dynamic.yaml`` are
     rewritten if a cure helps; no cure changes the parameters `given` by the user. The progress is called with the
     fraction of the present walk and a line of text.
@@ -114,7 +115,7 @@ def first_walks(
         config = load(found.folder / "robot.yaml")
         return replace(walk(config, load_model(config.robot), plant, progress), changes=dict(changes)), ", ".join(names)
 
-    if found.anatomy.lean is not None:
+    if found.anatomy.lean is not None or found.numbers.reach <= 0.0:
         return  # only its dynamic walk is possible
     first = trial("integrator")
     yield first
@@ -150,7 +151,7 @@ def _write(found: Adoption, entries: Sequence[Entry], given: Mapping[str, Any]) 
 def dynamic_walks(
     found: Adoption,
     given: Mapping[str, Any],
-    standing: Mapping[str, Any],
+    standing: Mapping[str, Any] | None,
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Trial, str]]:
     """Walk the dynamic walk in physics; if it falls or its report is not OK, try five cures, one after the other.
@@ -158,11 +159,13 @@ def dynamic_walks(
     These are more compliant legs, the same with all of the servos' lag assumed, goals ahead by all of this lag, stiffer
     servos if their stiffness is a guess, and shorter steps; goals ahead and shorter steps with the changes of the best
     of the walks before. Where a walk is `late`, its legs rather do not reach what it wants, and neither lag nor
-    stiffness of the servos is tried.
+    stiffness of the servos is tried. A robot has one stiffness: before a stiffer one is tried, the standing walk has to
+    stand with it.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
-    cured the standing walk. ``dynamic.yaml`` is that of the `best` of these walks in the end, even if the robot falls.
-    Where something is wrong, the `note` also says which joint cannot do the steps.
+    cured the standing walk, None if it does not stand. ``dynamic.yaml`` is that of the `best` of these walks in the
+    end, even if the robot falls, and ``robot.yaml`` has the same servos. Where something is wrong, the `note` also says
+    which joint cannot do the steps.
     """
     part = found.numbers.legs
     heavy = (
@@ -207,20 +210,31 @@ def dynamic_walks(
         (f"stiffer servos ({_STIFFER:g} m g h, servo.stiffness)", stiffer),
         (f"shorter steps ({_SHORTER:g} times gait.step_length)", shorter),
     )
-    entries, walks = changed(found.entries, standing, "changed after a standing walk that ended early"), list[Trial]()
+    entries = changed(found.entries, standing or {}, "changed after a standing walk that ended early")
+    walks = list[Trial]()
     for what, changes in tried:
         # lengths given by the user are those of the standing walk
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
         late = bool(walks) and walks[-1].late
         if (what and not kept) or (late and not (changes is complies or changes is shorter)):
             continue
+        if changes is stiffer and standing is not None:
+            slow = load(found.folder / "robot.yaml").updated(kept)
+            again = walk(slow, load_model(slow.robot), "physics", progress)
+            yield again, what
+            if not again.stood:
+                continue
         kept = {**(best(walks).changes if changes is ahead or changes is shorter else {}), **kept}
         write_dynamic(found.folder, found.numbers, entries, given, kept, overwrite=True)
         walks.append(replace(trial(), changes=kept))
         yield walks[-1], what
         if not walks[-1].note:
-            return
-    write_dynamic(found.folder, found.numbers, entries, given, best(walks).changes, overwrite=True)
+            break
+    cured = best(walks).changes
+    if servos := {key: value for key, value in cured.items() if key in stiffer}:
+        entries = changed(entries, servos, "changed after a dynamic walk that was not OK")
+        _write(found, entries, given)
+    write_dynamic(found.folder, found.numbers, entries, given, cured, overwrite=True)
 
 
 def climb(found: Adoption, progress: Callable[[float, str], None] = lambda *_: None) -> str:

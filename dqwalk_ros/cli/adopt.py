@@ -228,14 +228,18 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
             bar.print(f"{result}" + (f" {'cured by' if result.stood else 'in spite of'}: {cure}" if cure else ""))
             last = result
         stands = last is not None and last.stood
-        for result, cure in dynamic_walks(found, given, last.changes if last and stands else {}, bar):
+        for result, cure in dynamic_walks(found, given, last.changes if last and stands else None, bar):
+            if result.plant == "physics":  # the standing walk again, with the servos of a cure
+                bar.print(f"{result} with {cure}")
+                continue
             bar.print(f"{result}" + (f" {'in spite of' if result.note else 'cured by'}: {cure}" if cure else ""))
             fast.append(result)
         quick = best(fast)
         if quick.stood and not quick.note:
             bar.print(climb(found, bar))
     if len(fast) > 1:
-        print(f"{found.folder / 'dynamic.yaml'} has {_what(quick.changes) or 'no changes'}")
+        servos = ", and robot.yaml the same servos" if "servo.stiffness" in quick.changes else ""
+        print(f"{found.folder / 'dynamic.yaml'} has {_what(quick.changes) or 'no changes'}{servos}")
     steps = quick.stood and (stands or not quick.note)
     ends = "is not possible" if last is None else "falls" if last.plant == "physics" else "ends early in kinematics"
     slow = "is not OK" if quick.stood else "waits in its double supports" if quick.late else "falls"
