@@ -9,11 +9,7 @@ from dqwalk_ros.nodes.command_gate import CommandGate
 from dqwalk_ros.robot.model import RobotModel
 
 DT = 0.005
-
-
 MS = 1_000_000
-
-
 PERIOD = 5 * MS
 
 
@@ -57,6 +53,7 @@ def test_commands_delayed_by_200_ms_cause_no_motion(model: RobotModel, clock: St
         gate.accept(k * PERIOD, u, k * PERIOD + 200 * MS)
         clock.now += DT
         assert gate.holding
+        assert gate.ignored == "stamped 0.200 s before the last state"
 
 
 def test_ignored_commands_do_not_feed_the_watchdog(model: RobotModel, clock: SteppedTime) -> None:

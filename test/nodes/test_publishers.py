@@ -7,11 +7,7 @@ from stepped_time import SteppedTime
 from dqwalk_ros.nodes.publishers import DuplicatePublishers, DuplicateStates, FirstPublisher
 
 DT = 0.005
-
-
 MS = 1_000_000
-
-
 PERIOD = 5 * MS
 
 

@@ -17,11 +17,7 @@ from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import StateError
 
 DT = 0.005
-
-
 MS = 1_000_000
-
-
 PERIOD = 5 * MS
 
 

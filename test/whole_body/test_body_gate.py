@@ -16,11 +16,7 @@ from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.whole_body.nodes.body_gate import BodyGate
 
 DT = 0.005
-
-
 MS = 1_000_000
-
-
 PERIOD = 5 * MS
 
 
