@@ -17,7 +17,7 @@ from dqwalk_ros.nodes.base import WalkNode
 from dqwalk_ros.nodes.watchdog import ClockSteps
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
-from dqwalk_ros.paper.walk import com_target
+from dqwalk_ros.paper.walk import kind_with_target
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel, parse_model
 from dqwalk_ros.support.arrays import Array
@@ -209,9 +209,7 @@ class PhaseLog:
         try:
             q = self.reader.state(start).q
             if kind is PhaseKind.DOUBLE_SUPPORT:  # a stance has a com_target as well, but at another point
-                kin = Kinematics(self.model, q, base)
-                goal = {k: com_target(k, kin)[:2] for k in (kind, PhaseKind.STANCE)}
-                kind, target = min(goal, key=lambda k: float(np.abs(goal[k] - target).max())), None
+                kind, target = kind_with_target(Kinematics(self.model, q, base), target), None
             config = self._tuned.get(max((key for key in self._tuned if key <= began), default=-1), self.config)
             phase = make_walk(config, self.model).phase(kind, support, q, target)
             return Assessor(config, self.model, phase)

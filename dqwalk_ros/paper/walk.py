@@ -386,3 +386,9 @@ def com_target(kind: PhaseKind, kin: Kinematics) -> Array:
     if kind is PhaseKind.STANCE:
         goal = 0.5 * (goal + base.center)
     return np.array([goal[0], goal[1], 0.0])
+
+
+def kind_with_target(kin: Kinematics, place: Array) -> PhaseKind:
+    """Return the kind of a phase on both feet, begun at `kin`, whose `com_target` is nearest to a place (2,) [m]."""
+    kinds = PhaseKind.DOUBLE_SUPPORT, PhaseKind.STANCE
+    return min(kinds, key=lambda kind: float(np.linalg.norm(place - com_target(kind, kin)[:2])))

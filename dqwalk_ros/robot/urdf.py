@@ -92,21 +92,7 @@ class Urdf:
         self.repairs: list[str] = [*self.left_out]
         self.name = root.get("name") or pathlib.Path(source).stem
         root.set("name", self.name)
-        for element in root.iter():
-            if getattr(element, "commas", False):
-                self.repairs.append(f"{place(element)} has commas between its numbers: left out")
-            if (length := float(element.get("length", 0.0))) < 0.0:
-                self.repairs.append(f"{place(element)} has the negative length {length:g}: taken as positive")
-                element.set("length", repr(-length))
-        for shape in [*root.iter("collision"), *root.iter("visual")]:
-            if (capsule := shape.find("geometry/capsule")) is not None:
-                self.repairs.append(f"{place(capsule)} is taken as a cylinder between two spheres, of the same extent")
-                link = next(link for link in root.iter("link") if shape in link)
-                _round_ends(link, shape, capsule)
-        for element in root.iter():
-            angles = [float(word) for origin in element.findall("origin") for word in origin.get("rpy", "0").split()]
-            if angles and max(map(abs, angles)) > _TURN:
-                self.repairs.append(f"{place(element)} has rpy = '{angles}': taken as radians; are they degrees?")
+        self._repair_elements(root)
         text = io.BytesIO(ElementTree.tostring(root))
         read = yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False)
         places = {(element.tag, element.get("name")): place(element) for element in root}
@@ -119,15 +105,7 @@ class Urdf:
                 shape.name = None
             for visual in link.visuals:
                 visual.material = _material(visual.material, materials)
-        ranged = [joint.limit for joint in self.joints.values() if joint.type == "revolute" and joint.limit]
-        zero = [limit for limit in ranged if limit.lower == limit.upper == 0.0]
-        if len(zero) > max(1, len(ranged) // 2):
-            self.repairs.append(
-                f"{len(zero)} of {len(ranged)} revolute joints have the limits 0 and 0, as exporters write them: "
-                "taken as none"
-            )
-            for limit in zero:
-                limit.lower, limit.upper = -math.inf, math.inf
+        self._drop_placeholders()
         for joint in self.joints.values():
             self._repair_joint(joint, places["joint", joint.name])
         self._remove_world()
@@ -310,6 +288,36 @@ class Urdf:
         )
 
     # ------------------------------------------------------------------ repairs
+
+    def _repair_elements(self, root: ElementTree.Element) -> None:
+        """Repair in the XML what yourdfpy would not read, or silently read otherwise."""
+        for element in root.iter():
+            if getattr(element, "commas", False):
+                self.repairs.append(f"{place(element)} has commas between its numbers: left out")
+            if (length := float(element.get("length", 0.0))) < 0.0:
+                self.repairs.append(f"{place(element)} has the negative length {length:g}: taken as positive")
+                element.set("length", repr(-length))
+        for shape in [*root.iter("collision"), *root.iter("visual")]:
+            if (capsule := shape.find("geometry/capsule")) is not None:
+                self.repairs.append(f"{place(capsule)} is taken as a cylinder between two spheres, of the same extent")
+                link = next(link for link in root.iter("link") if shape in link)
+                _round_ends(link, shape, capsule)
+        for element in root.iter():
+            angles = [float(word) for origin in element.findall("origin") for word in origin.get("rpy", "0").split()]
+            if angles and max(map(abs, angles)) > _TURN:
+                self.repairs.append(f"{place(element)} has rpy = '{angles}': taken as radians; are they degrees?")
+
+    def _drop_placeholders(self) -> None:
+        """Take limits of 0 and 0 as none where most revolute joints have them."""
+        ranged = [joint.limit for joint in self.joints.values() if joint.type == "revolute" and joint.limit]
+        zero = [limit for limit in ranged if limit.lower == limit.upper == 0.0]
+        if len(zero) > max(1, len(ranged) // 2):
+            self.repairs.append(
+                f"{len(zero)} of {len(ranged)} revolute joints have the limits 0 and 0, as exporters write them: "
+                "taken as none"
+            )
+            for limit in zero:
+                limit.lower, limit.upper = -math.inf, math.inf
 
     def _repair_inertial(self, given: Inertial | None, where: str) -> Inertial:
         """Return mass, CoM and inertia in axes of the link `where`."""

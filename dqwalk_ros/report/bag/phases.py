@@ -15,7 +15,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import PhaseKind
-from dqwalk_ros.paper.walk import com_target
+from dqwalk_ros.paper.walk import kind_with_target
 from dqwalk_ros.report.bag.messages import NS, Stamps, aligned, joint_states, pose_of, tables, texts
 from dqwalk_ros.report.bag.recording import Recording
 from dqwalk_ros.report.bag.storage import Column
@@ -46,48 +46,33 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
     BagError
         If there is no phase, or the phases contradict each other or are those of another robot.
     """
-    path, model, columns = bag.path, bag.model, bag.columns
-    said = list(zip(columns["phase"].times, texts(columns["phase"]), strict=True))
-    labels = [label for label in said if "/" in label[1]]
-    begun = joint_states(columns["phase_start"], model.joint_names)
-    if not labels or not len(begun.stamps):
-        raise BagError(f"'{path}' contains no phase of a walk")
-    if not set(begun.frames) <= set(model.foot_of) or not set(model.joint_names) <= set(begun.named):
-        given = f"{shown(begun.frames[0])} and {listed(begun.named)}"
-        raise BagError(f"'{path}' is of another robot: phase_start names {given}")
-    names = [_parsed(name) for _, name in labels]
-    if None in names:
-        strange = shown(labels[names.index(None)][1])
-        bag.notes.append(f"unknown phase '{strange}': phases are identified by their base sole and swing target")
-    known = {
-        stamp: (model.foot_of[frame], q)
-        for stamp, frame, q in zip(begun.stamps.tolist(), begun.frames, begun.position, strict=True)
-        if (np.abs(q) < FARTHEST).all()
-    }
-    if not known:
-        raise BagError(f"'{path}': every phase begins with impossible numbers")
+    said = list(zip(bag.columns["phase"].times, texts(bag.columns["phase"]), strict=True))
+    labels = [(time, _parsed(text)) for time, text in said if "/" in text]
+    known = _begun(bag, labels)
+    if strange := next((text for _, text in said if "/" in text and _parsed(text) is None), ""):
+        bag.notes.append(f"unknown phase '{shown(strange)}': phases are identified by their base sole and swing target")
+    swings, places = _targets(bag.columns.get("swing_target")), _targets(bag.columns.get("com_target"))
     decisions: dict[int, str] = {}
-    swings, places = _targets(columns.get("swing_target")), _targets(columns.get("com_target"))
+    timed = [(time, name) for time, name in labels if name is not None]
     # a name is published again after a pause, so it does not identify its start
-    if len(labels) == len(known) == len(columns["phase_start"].raws) and None not in names:
-        named = dict(zip(known, names, strict=True))
-        decisions = dict(zip(known, _decisions([words for _, words in said]), strict=True))
+    if len(timed) == len(labels) == len(known) == len(bag.columns["phase_start"].raws):
+        named = dict(zip(known, (name for _, name in timed), strict=True))
+        decisions = dict(zip(known, _decisions([text for _, text in said]), strict=True))
     else:
-        timed = [(time, name) for (time, _), name in zip(labels, names, strict=True) if name is not None]
         named, rest = _by_time(timed, list(known))
         lost = _lost(bag, rest, named, swings, places)
         known = {stamp: (base, q) for stamp, (_, base, q) in lost.items()} | known
         named = {stamp: name for stamp, (name, _, _) in lost.items()} | named
-        if None not in names and (without := known.keys() - named.keys()):
+        if not strange and (without := known.keys() - named.keys()):
             bag.notes.append(f"{len(without)} names of phases are missing: they follow from the targets")
     found: dict[int, PhaseRecord] = {}
     for stamp, (base, q) in sorted(known.items()):
         time, target = stamp / NS, pose_of(swings[stamp].numbers) if stamp in swings else None
-        kind, support = named.get(stamp) or _guessed(Kinematics(model, q, base), target, places.get(stamp))
+        kind, support = named.get(stamp) or _guessed(Kinematics(bag.model, q, base), target, places.get(stamp))
         name = f"{kind.value}/{support.value}"
         if base is not (support if kind is PhaseKind.SINGLE_SUPPORT else support.other):
             raise BagError(
-                f"'{path}': {name} at {time:.3f} s cannot stand on the {base.value} foot: messages of phase, "
+                f"'{bag.path}': {name} at {time:.3f} s cannot stand on the {base.value} foot: messages of phase, "
                 "phase_start or swing_target are missing or in another order"
             )
         if kind is PhaseKind.SINGLE_SUPPORT and not (target is not None and _is_pose(target)):
@@ -96,6 +81,24 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
         why = decisions.get(stamp, "")
         found[stamp] = PhaseRecord(name, kind, support, base, 0, time, q, target, DQ(1.0).vec8(), decision=why)
     return found
+
+
+def _begun(bag: Recording, labels: Sequence[object]) -> dict[int, tuple[Foot, Array]]:
+    """Return base foot and angles (n,) [rad] of each phase_start by its stamp [ns]; errors are those of `starts`."""
+    begun = joint_states(bag.columns["phase_start"], bag.model.joint_names)
+    if not labels or not len(begun.stamps):
+        raise BagError(f"'{bag.path}' contains no phase of a walk")
+    if not set(begun.frames) <= set(bag.model.foot_of) or not set(bag.model.joint_names) <= set(begun.named):
+        given = f"{shown(begun.frames[0])} and {listed(begun.named)}"
+        raise BagError(f"'{bag.path}' is of another robot: phase_start names {given}")
+    known = {
+        stamp: (bag.model.foot_of[frame], q)
+        for stamp, frame, q in zip(begun.stamps.tolist(), begun.frames, begun.position, strict=True)
+        if (np.abs(q) < FARTHEST).all()
+    }
+    if not known:
+        raise BagError(f"'{bag.path}': every phase begins with impossible numbers")
+    return known
 
 
 def judged(begun: Mapping[int, PhaseRecord], stamps: Stamps) -> NDArray[np.bool_]:
@@ -155,13 +158,13 @@ def _parsed(name: str) -> _Name | None:
 
 def _by_time(
     labels: Sequence[tuple[int, _Name]], begun: Sequence[int]
-) -> tuple[dict[int, _Name | None], list[tuple[int, _Name]]]:
+) -> tuple[dict[int, _Name], list[tuple[int, _Name]]]:
     """Return the names of the stamps [ns] near which they were recorded, and those of phases that begin elsewhere.
 
     A name that repeats the one before it is that of a phase which continues after a pause. Names that were recorded by
     another clock than that of the stamps belong to no phase.
     """
-    named: dict[int, _Name | None] = {}
+    named: dict[int, _Name] = {}
     rest, before, stamps = [], None, sorted(begun)
     for time, name in labels:
         k = bisect.bisect(stamps, time)
@@ -213,11 +216,8 @@ def _guessed(kin: Kinematics, swing: Array | None, place: _Target | None) -> _Na
     """Return kind and support foot of a phase without a name, from what its target is."""
     if swing is not None:
         return PhaseKind.SINGLE_SUPPORT, kin.base
-    kinds = PhaseKind.DOUBLE_SUPPORT, PhaseKind.STANCE
-    if place is None:
-        return kinds[0], kin.base.other
-    off = [float(np.linalg.norm(place.numbers - com_target(kind, kin))) for kind in kinds]
-    return kinds[int(np.argmin(off))], kin.base.other
+    kind = PhaseKind.DOUBLE_SUPPORT if place is None else kind_with_target(kin, place.numbers[:2])
+    return kind, kin.base.other
 
 
 def _is_pose(x: Array) -> bool:

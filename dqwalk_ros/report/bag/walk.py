@@ -195,47 +195,34 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
         If the bag cannot be read, lacks a required topic, or is that of another robot.
     """
     bag = open_recording(source, namespace, TOPICS, REQUIRED, walk)
-    path, model, notes, stamps = bag.path, bag.model, bag.notes, bag.stamps
-    begun = phases.starts(bag)
-    q = bag.states.position[bag.rows]
-    walking = stamps >= min(begun)
-    whole = ~(~(np.abs(q) < FARTHEST)).any(axis=1)  # false for nan
-    if early := int(np.count_nonzero(~walking)):
-        notes.append(f"{early} states before the first phase are left out")
-    if not walking.any():
-        raise BagError(f"'{path}': every joint state is older than the first phase")
-    if not (whole & walking).any():
-        lack = [n for n, a in zip(model.joint_names, bag.states.position.T, strict=True) if not np.isfinite(a).all()]
-        raise BagError(f"'{path}': joint_states lack positions of {', '.join(lack) or 'every joint'}")
-    if bad := int(np.count_nonzero(walking & ~whole)):
-        notes.append(f"{bad} states without a number for every joint are left out")
-    stamps, q = stamps[walking & whole], q[walking & whole]
+    begun, notes = phases.starts(bag), bag.notes
+    stamps, q = _walking(bag, min(begun))
     u = _commands(bag, stamps)
-    unanswered = np.flatnonzero(np.isnan(u).any(axis=1))
-    last_phase = next((name for name in reversed(texts(bag.columns["phase"])) if name), "")
-    if last_phase in (FAILED, FALLEN):
+    answered = np.flatnonzero(~np.isnan(u).any(axis=1))
+    last = next((name for name in reversed(texts(bag.columns["phase"])) if name), "")
+    failed, finished = last in (FAILED, FALLEN), last == FINISHED
+    if failed:
         notes.append("the walk failed: a phase could not end by its rule")
     warned = bag.columns.get("plant_warning")
     if warned is not None and (asked := next(filter(None, texts(warned)), "")):
         notes.append(f"the plant has asked for the end of the walk: {one_line(asked)}")
-    finished, answered = last_phase == FINISHED, np.setdiff1d(np.arange(len(u)), unanswered)
-    if len(answered) and "/" in last_phase and phases.is_last(bag, begun, int(stamps[answered[-1]]), q[answered[-1]]):
+    if len(answered) and "/" in last and phases.is_last(bag, begun, int(stamps[answered[-1]]), q[answered[-1]]):
         finished = True
         notes.append(f"the message '{FINISHED}' is missing: the last phase is over, and no other has begun")
     if finished and len(answered):  # states after the end of the walk are omitted
         end = int(answered[-1]) + 1
-        stamps, q, u, unanswered = stamps[:end], q[:end], u[:end], unanswered[unanswered < end]
-    if len(unanswered):
-        notes.append(f"{len(unanswered)} of {len(stamps)} states have no command")
+        stamps, q, u = stamps[:end], q[:end], u[:end]
+    if unanswered := len(stamps) - len(answered):
+        notes.append(f"{unanswered} of {len(stamps)} states have no command")
     judged = phases.judged(begun, stamps)
     if not judged.any():
-        raise BagError(f"'{path}': the swing targets of all phases are missing")
+        raise BagError(f"'{bag.path}': the swing targets of all phases are missing")
     stamps, q, u = stamps[judged], q[judged], u[judged]
     epoch = int(stamps[0]) if stamps[0] > _CLOCK else 0
     whole_walk = max(begun) <= int(stamps[-1])  # else the states of its last phases are missing
     return Trace(
         config=bag.config,
-        model=model,
+        model=bag.model,
         time=(stamps - epoch) / NS,
         q=q,
         u=u,
@@ -247,8 +234,25 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
         physics=_physics(bag, stamps),
         loads=known_loads(np.column_stack([force[:, 2] for force in _forces(bag, stamps, "load").values()])),
         epoch=epoch,
-        cut=not whole_walk or (bag.cut and not finished and last_phase not in (FAILED, FALLEN)),
+        cut=not whole_walk or (bag.cut and not finished and not failed),
     )
+
+
+def _walking(bag: Recording, begun: int) -> tuple[Stamps, Array]:
+    """Return stamps and angles (N, n) [rad] of the states with a number for every joint, from the first phase on."""
+    q, walking = bag.states.position[bag.rows], bag.stamps >= begun
+    whole = (np.abs(q) < FARTHEST).all(axis=1)  # false for nan
+    if early := int(np.count_nonzero(~walking)):
+        bag.notes.append(f"{early} states before the first phase are left out")
+    if not walking.any():
+        raise BagError(f"'{bag.path}': every joint state is older than the first phase")
+    if not (whole & walking).any():
+        columns = zip(bag.model.joint_names, bag.states.position.T, strict=True)
+        lack = [name for name, angles in columns if not np.isfinite(angles).all()]
+        raise BagError(f"'{bag.path}': joint_states lack positions of {', '.join(lack) or 'every joint'}")
+    if bad := int(np.count_nonzero(walking & ~whole)):
+        bag.notes.append(f"{bad} states without a number for every joint are left out")
+    return bag.stamps[walking & whole], q[walking & whole]
 
 
 def read_orientations(path: str | os.PathLike[str]) -> Array:
