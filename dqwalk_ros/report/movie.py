@@ -20,6 +20,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.plants.mujoco import build
+from dqwalk_ros.report.colors import INK
 from dqwalk_ros.report.metrics import pelvis_in_odom
 from dqwalk_ros.report.scene import BodyShape, shapes_of
 from dqwalk_ros.robot.model import RobotModel
@@ -60,7 +61,7 @@ def frames(trace: Trace, times: Array, width: int, height: int, progress: Progre
             record = trace.phases[max(int(np.searchsorted(starts, trace.time[tick], side="right")) - 1, 0)]
             draw, font = ImageDraw.Draw(picture), ImageFont.load_default(13)
             for row, line in enumerate((f"{trace.time[tick]:.1f} s", record.name.replace("_", " "))):
-                draw.text((8, 6 + 17 * row), line, fill=(36, 41, 47), font=font)
+                draw.text((8, 6 + 17 * row), line, fill=INK, font=font)
             yield picture
             progress((k + 1) / len(times), f"{k + 1} of {len(times)} pictures")
 

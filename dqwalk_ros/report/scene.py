@@ -91,6 +91,15 @@ def bodies_of(kin: Kinematics, x_base: Array) -> Array:
     return (DQ(x_base) * DQ(np.array([kin.pose(link) for link in kin.model.links]))).vec8()
 
 
+def top_of(shapes: Iterable[BodyShape], bodies: Array) -> float:
+    """Return the height of the highest point of a robot [m], of meshes or origins, given the poses (B, 8) of bodies."""
+    tops = [DQ(bodies).translation()[:, 2].max()]
+    for shape in shapes:
+        points = np.zeros((1, 3)) if shape.vertices is None else shape.vertices
+        tops.append((DQ(bodies[shape.body]) * DQ(shape.pose)).transform_point(points)[:, 2].max())
+    return float(max(tops))
+
+
 def on_ground(polygon: ConvexPolygon, x_base: Array) -> Array:
     """Return the vertices (m, 3) [m] of a polygon in the plane of the base sole, given the sole's pose (8,)."""
     corners: Array = DQ(x_base).transform_point(np.pad(polygon.vertices, ((0, 0), (0, 1))))

@@ -16,7 +16,7 @@ from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.colors import DIVERGENT, Rgb
 from dqwalk_ros.report.metrics import Series
-from dqwalk_ros.report.scene import BodyShape, Moments, NamedRegion, Scene, shapes_of, tightest
+from dqwalk_ros.report.scene import BodyShape, Moments, NamedRegion, Scene, shapes_of, tightest, top_of
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 
@@ -85,11 +85,9 @@ class Replay:
     def data(self) -> dict[str, Any]:
         """Return plain data for `replay.js`; arrays of numbers as base64 of little-endian float32."""
         names, shapes = list(dict.fromkeys(self.tight)), shapes_of(self.config, self.model)
-        tops = [DQ(self.bodies[0, s.body]).transform_point(DQ(s.pose).translation())[2] for s in shapes]
-        highest = max(*tops, *DQ(self.bodies[0]).translation()[:, 2])
         return {
             "shapes": [shape_data(shape) for shape in shapes],
-            "height": float(highest - self.polygons[0][:, 2].mean()),
+            "height": float(top_of(shapes, self.bodies[0]) - self.polygons[0][:, 2].mean()),
             "t": _packed(self.time),
             "bodies": _packed(_moving(self.bodies)),
             "com": _packed(self.com),

@@ -16,7 +16,7 @@ import viser
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.report.colors import BLUE, COM, DIVERGENT, FOOT, INK, MUTED, TIGHT, Rgb, hexed
-from dqwalk_ros.report.scene import BodyShape, Moment, NamedRegion, Scene, View, tightest
+from dqwalk_ros.report.scene import BodyShape, Moment, NamedRegion, Scene, View, tightest, top_of
 from dqwalk_ros.report.viewer.guard import HOST, guarded
 from dqwalk_ros.report.viewer.panels import History, margins_html, status_html
 from dqwalk_ros.support.arrays import Array
@@ -302,14 +302,9 @@ class _Drawing:
         """Add a footprint at `x` (8,) that is visible from phase `index` on; a phase has one footprint."""
         if index in self._footprints:
             return
-        name = f"/footprints/{index}"
-        sole = self._model.soles[foot]
-        x = (DQ(x) * DQ.from_pose(sole.center)).vec8()
-        frame = self._scene.add_frame(name, show_axes=False, **_place(x))
-        size = np.array([sole.length, sole.width, 0.0])
-        corners = 0.5 * size * np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) + [0.0, 0.0, 0.0008]
+        name, corners = f"/footprints/{index}", self._model.soles[foot].corners + np.array([0.0, 0.0, 0.0008])
+        self._footprints[index] = self._scene.add_frame(name, show_axes=False, **_place(x))
         self._outline(f"{name}/outline", corners, FOOT[foot], 2.0)
-        self._footprints[index] = frame
 
     def forget(self) -> None:
         """Remove the footprints and the trail."""
@@ -431,11 +426,6 @@ def _add_shape(scene: viser.SceneApi, name: str, shape: BodyShape, opacity: floa
 
 def _home(scene: Scene, view: View) -> tuple[Array, Array]:
     """Return position and target of the camera: from ahead and the left, with the whole robot in view."""
-    tops = [float(DQ(view.bodies).translation()[:, 2].max())]
-    for shape in scene.shapes:
-        x = DQ(view.bodies[shape.body]) * DQ(shape.pose)
-        points = np.zeros((1, 3)) if shape.vertices is None else shape.vertices
-        tops.append(float(x.transform_point(points)[:, 2].max()))
-    reach = max(max(tops) - view.ground, 0.2)
+    reach = max(top_of(scene.shapes, view.bodies) - view.ground, 0.2)
     at = np.array([view.com[0], view.com[1], view.ground + 0.52 * reach])
     return at + reach * np.array([1.25, 0.95, 0.5]), at
