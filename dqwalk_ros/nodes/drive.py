@@ -142,7 +142,6 @@ class RobotDrive(WalkNode):
         now, stamp = self._now(), ros.nanoseconds(msg.header.stamp)
         if stamp and not self._follows(stamp, now):
             return
-        self._steps.forget()
         self._stamp, self._invalid = stamp, ""
         self._recent.append(q)
         self._law.measure(q[self._own], now)
@@ -152,10 +151,9 @@ class RobotDrive(WalkNode):
     def _follows(self, stamp: int, now: float) -> bool:
         """Return whether the stamp of a state [ns] is not that of the last one, out of order, or wrong."""
         gate, passed = self._law.gate, 1e-9 * (stamp - self._stamp)
-        if self._stamp <= 0 or not gate.fresh(now):
-            return passed != 0.0
         longest = gate.age(now) + self.config.plant.command_timeout
-        return 0.0 < passed <= longest or (passed != 0.0 and self._steps.is_one(stamp))
+        follows = self._stamp <= 0 or not gate.fresh(now) or 0.0 < passed <= longest
+        return passed != 0.0 and self._steps.accepts(stamp, follows=follows)
 
     def _on_command(self, msg: JointState) -> None:
         self._look()

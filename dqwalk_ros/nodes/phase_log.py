@@ -166,9 +166,7 @@ class PhaseLog:
         In the latter case the phases after it are dropped.
         """
         apart = stamp - self.newest if self.newest >= 0 else 0
-        if 0 <= apart <= _FAR:
-            self._steps.forget()
-        elif not self._steps.is_one(stamp):
+        if not self._steps.accepts(stamp, follows=0 <= apart <= _FAR):
             return "wrong"
         self.newest = stamp
         if apart >= 0:

@@ -72,11 +72,11 @@ class Pilot(WalkNode):
 
     def _on_command(self, msg: JointState) -> None:
         stamp = ros.nanoseconds(msg.header.stamp)
-        if self._now >= 0 and not 0 <= stamp - self._now <= _LONGEST:
-            if not self._steps.is_one(stamp):
-                return
-            self._begin += stamp - self._now if self._begin >= 0 else 0  # the course goes on
-        self._steps.forget()
+        follows = self._now < 0 or 0 <= stamp - self._now <= _LONGEST
+        if not self._steps.accepts(stamp, follows=follows):
+            return
+        if not follows and self._begin >= 0:
+            self._begin += stamp - self._now  # the course goes on
         self._now = stamp
 
     def _steer(self) -> None:

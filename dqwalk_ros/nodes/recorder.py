@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 
 from dqwalk_ros.nodes import messages as ros
 from dqwalk_ros.nodes.base import WalkNode, throttled
+from dqwalk_ros.nodes.watchdog import ClockSteps
 from dqwalk_ros.report.bag.storage import connect, flush, open_writer
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.topics import BODY_TOPICS, EFFORT, OTHERS, PHASE_LOG, TOPICS, VELOCITY, Topic
@@ -40,31 +41,8 @@ _ALL = TOPICS | BODY_TOPICS
 _PHYSICS = tuple(name for name, topic in TOPICS.items() if topic.source == "physics")
 _EACH_TICK = ("joint_states", "joint_velocity_commands", "base_pose", "joint_effort_commands", "base_twist", *_PHYSICS)
 _STAMPED = ("sensor_msgs/", "geometry_msgs/", "diagnostic_msgs/")
-FAR = 5_000_000_000
+_FAR = 5_000_000_000
 """Jump of the stamp [ns] above which the stamp of a single message is considered wrong."""
-
-
-class WalkTime:
-    """The newest stamp of a walk; a single state with a wrong stamp does not change it.
-
-    Attributes
-    ----------
-    newest : int
-        [ns]; -1 before the first state.
-    """
-
-    def __init__(self) -> None:
-        self.newest = -1
-        self._far: int | None = None  # stamp of the previous state, if it was far from all before
-
-    def add(self, stamp: int) -> None:
-        """Add the stamp of a state [ns]; a stamp that is far away is accepted when the next one is near it."""
-        known = self.newest if self._far is None or abs(stamp - self._far) > FAR else self._far
-        if self.newest < 0 or abs(stamp - known) <= FAR:
-            self.newest = max(known, stamp)
-            self._far = None
-        else:
-            self._far = stamp
 
 
 class _RobotStates:
@@ -144,7 +122,7 @@ class Recorder(WalkNode):
         config = self.config
         self._period, self._drain_time = round(config.dt * 1e9), _DRAIN[config.plant.lockstep]
         # after a suspension a queue of commands may be read before that of the states they answer
-        self._ahead = max(FAR, _DEPTH * self._period)
+        self._ahead = max(_FAR, _DEPTH * self._period)
         self._path = Path(options.bag)
         self._writer = open_writer(self._path)
         self._connections: dict[str, Any] = {}
@@ -152,7 +130,8 @@ class Recorder(WalkNode):
         self._last = dict.fromkeys(_EACH_TICK, -1)
         self._last_raw: dict[str, bytes] = {}
         self._missing = dict.fromkeys(_EACH_TICK, 0)
-        self._time, self._robot = WalkTime(), _RobotStates()
+        self._newest, self._steps = -1, ClockSteps()  # stamp of the newest state [ns]; -1 before the first
+        self._robot = _RobotStates()
         self._early: list[tuple[str, bytes]] = []  # messages before the first stamp
         self._handled = self._handled_before = 0  # number of messages, now and at the last check of `is_drained`
         self._stop_at = float("inf")
@@ -185,7 +164,7 @@ class Recorder(WalkNode):
 
     def _on_message(self, name: str, topic: Topic, raw: bytes) -> None:
         self._handled += 1
-        stamp = self._time.newest
+        stamp = self._newest
         if name in (VELOCITY, EFFORT) and self._robot.learn(raw):
             self._last["joint_states"], self._missing["joint_states"] = -1, 0  # those so far may be of a gripper
         foreign = name == "joint_states" and self._robot.is_foreign(raw)  # recorded as a topic of `OTHERS`
@@ -200,14 +179,16 @@ class Recorder(WalkNode):
                     return
                 self._last_raw[name] = raw
             if name == "joint_states":
-                self._time.add(own)
+                near = self._newest < 0 or abs(own - self._newest) <= _FAR
+                if self._steps.accepts(own, follows=near):
+                    self._newest = max(own, self._newest) if near else own
             # a latched message may be much older than the recording
-            stamp = max(own, self._time.newest) if topic.latched else own
-            if stamp > self._time.newest + self._ahead >= self._ahead:  # a wrong one must not extend the bag by years
-                stamp = self._time.newest
+            stamp = max(own, self._newest) if topic.latched else own
+            if stamp > self._newest + self._ahead >= self._ahead:  # a wrong one must not extend the bag by years
+                stamp = self._newest
             elif name in self._last:
                 self._note_gap(name, own)
-        if self._time.newest < 0:
+        if self._newest < 0:
             if topic.latched or len(self._early) < _MOST_EARLY:
                 self._early.append((name, bytes(raw)))
             else:
@@ -215,7 +196,7 @@ class Recorder(WalkNode):
             return
         try:
             for early, data in self._early:
-                self._write(early, self._time.newest, data)
+                self._write(early, self._newest, data)
             self._early.clear()
             self._write(name, stamp, raw)
         except (OSError, WriterError) as error:

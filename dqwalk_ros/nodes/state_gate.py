@@ -116,10 +116,9 @@ class StateGate:
         self._repeated = self._repeated + 1 if repeated else 0
         passed = 1e-9 * (stamp - self._stamp)
         follows = self.soon * self._dt <= passed <= self._farthest
-        if self._stamp < 0 or (self.watchdog.silent and not repeated) or follows:
-            self._steps.forget()
-            return True
-        if not 0.0 <= passed <= self._farthest and self._steps.is_one(stamp):
+        follows = follows or self._stamp < 0 or (self.watchdog.silent and not repeated)
+        elsewhere = not 0.0 <= passed <= self._farthest
+        if (follows or elsewhere) and self._steps.accepts(stamp, follows=follows):
             return True
         self.overtaken += 1
         return False

@@ -80,20 +80,16 @@ class FaultCounter:
 
 
 class ClockSteps:
-    """Tells a clock that was set from a single wrong stamp, for the stamps that do not follow the last accepted one."""
+    """Tells a clock that was set from a single wrong stamp."""
 
     steps = 3
     """Number of consecutive messages at another time, with advancing stamps, which indicates that a clock was set."""
 
     def __init__(self) -> None:
-        self._count, self._last = 0, -1  # of such stamps, and the last one [ns]
+        self._count, self._last = 0, -1  # of stamps at another time, and the last stamp [ns]
 
-    def forget(self) -> None:
-        """Register a stamp that follows the last accepted one."""
-        self._count = 0
-
-    def is_one(self, stamp: int) -> bool:
-        """Register a stamp at another time [ns]; return whether a clock was set."""
-        self._count = self._count + 1 if stamp > self._last else 1
+    def accepts(self, stamp: int, *, follows: bool) -> bool:
+        """Return whether a stamp [ns] counts: it `follows` the last one that did, or a clock was set."""
+        self._count = 0 if follows else self._count + 1 if stamp > self._last else 1
         self._last = stamp
-        return self._count >= self.steps
+        return follows or self._count >= self.steps

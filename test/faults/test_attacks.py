@@ -61,6 +61,8 @@ def test_the_recorder_skips_invalid_messages(make: Any, tmp_path: Path) -> None:
     assert "joint_states not recorded: its stamp is -5 s, before 1970" in one.log
     one.node.close()
     assert readable_states(tmp_path / "bag") == 101
+    times = load_bag(tmp_path / "bag", lambda name, kind: True).columns["/joint_states"].times
+    assert max(times) == times[-1] == round(1e9 * (1.0 + 0.02 * 99))  # the impossible stamp is not that of the bag
 
 
 def test_a_recorder_without_a_robot_keeps_a_bounded_number_of_messages(

@@ -139,23 +139,6 @@ def test_states_of_one_stamp_are_no_walk(trace, path, tmp_path):
         bag.read(edited(path, tmp_path / "b", "/joint_states", change))
 
 
-def test_a_stamp_in_the_future_does_not_set_the_recorder_time():
-    from dqwalk_ros.nodes.recorder import WalkTime
-
-    second, year = 1_000_000_000, 2_145_916_800_000_000_000
-    for states, newest in (
-        ([1, 2, year, 3, 4], 4),  # one message with an impossible stamp
-        ([year, 1, 2, 3], 3),  # the first one
-        ([50 * second, 1, 2], 2),  # the plant was restarted
-        ([1, 2, 50 * second, 51 * second], 51 * second),  # a gap
-        ([5, 3, 4], 5),  # out of order
-    ):
-        time = WalkTime()
-        for stamp in states:
-            time.add(stamp)
-        assert time.newest == newest
-
-
 def nan(number, message):
     message.pose.orientation.x = np.nan
 
