@@ -18,6 +18,7 @@ from dqwalk_ros.estimation.vertical import filtered_vertical, low_passed
 from dqwalk_ros.paper.assembly import Evaluation
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import angle_of
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.phase import Next, Phase, PhaseKind
 from dqwalk_ros.paper.qp import make_solver
@@ -125,7 +126,7 @@ class VelocityController:
     @property
     def lean(self) -> float:
         """Inclination of the base sole, from the inertial sensor and the joint angles [rad]; 0 without the sensor."""
-        return math.acos(min(float(self.kin.up[2]), 1.0)) if self.kin is not None else 0.0
+        return angle_of(float(self.kin.up[2])) if self.kin is not None else 0.0
 
     @property
     def solve_time(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import Z
+from dqwalk_ros.paper.geometry import Z, angle_of
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import gravity_torques
 from dqwalk_ros.plants.base import stands_still
@@ -100,7 +100,7 @@ def _soles(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
             "robot.left_sole, robot.right_sole",
         )
     R = other.rotation_matrix()
-    tilt = math.acos(min(1.0, float(R[2, 2])))
+    tilt = angle_of(R[2, 2])
     if tilt > _LEVEL:
         text = f"the soles are not parallel in the posture: the angle between them is {math.degrees(tilt):.1f} degrees"
         yield Finding(text, "robot.left_sole_rpy, robot.right_sole_rpy")
@@ -116,7 +116,7 @@ def _soles(config: Config, model: RobotModel, q: Array) -> Iterator[Finding]:
     if (least := min(left.length, left.width, right.length, right.width)) < _SMALLEST:
         text = f"a sole has a side of {1e3 * least:.0f} mm; a walk needs flat feet"
         yield Finding(text, "robot.sole_length, robot.sole_width")
-    lean = math.acos(min(1.0, max(-1.0, float(kin.direction(model.pelvis, Z)[2]))))
+    lean = angle_of(kin.direction(model.pelvis, Z)[2])
     if lean > _UPRIGHT:
         yield Finding(
             f"z of the pelvis '{model.pelvis}' is {math.degrees(lean):.0f} degrees off the vertical in the posture: "

@@ -16,7 +16,7 @@ from dqwalk_ros.adopt.legs import axes_differ, leg_of
 from dqwalk_ros.adopt.skeleton import Skeleton
 from dqwalk_ros.adopt.soles import foot_links, plane_below
 from dqwalk_ros.paper.dual_quaternions import DQ
-from dqwalk_ros.paper.geometry import X, Y, Z
+from dqwalk_ros.paper.geometry import X, Y, Z, angle_of
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
@@ -109,7 +109,7 @@ def _how_far(problem: ModelError) -> float:
 
 def _leaning(skeleton: Skeleton, pair: tuple[str, str], up: Array) -> NoLegsError:
     """Return the error of legs on leaning feet, with another axis of the root link `up` than z."""
-    lean = max(math.acos(min(1.0, plane_below(found)[0][2])) for found in _feet(skeleton, pair) if found is not None)
+    lean = max(angle_of(plane_below(found)[0][2]) for found in _feet(skeleton, pair) if found is not None)
     axis = int(np.argmax(np.abs(up[2])))
     return NoLegsError(
         f"the robot does not stand in its zero posture: with {'-' if up[2, axis] < 0 else '+'}{'xyz'[axis]} of its "
@@ -327,7 +327,7 @@ def _most_turned(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], lat
     a, b = (np.array([skeleton.axis(joint) for joint in joints]) for joints in (one, two))
     image = b - 2.0 * np.outer(b @ lateral, lateral)
     same = np.maximum(*(np.abs(np.sum(a * other, axis=1)) for other in (b, image)))
-    return math.degrees(math.acos(min(1.0, float(same.min()))))
+    return math.degrees(angle_of(same.min()))
 
 
 def mirrored(skeleton: Skeleton, one: Sequence[str], two: Sequence[str]) -> tuple[Array, Array, float]:

@@ -12,7 +12,7 @@ from dqwalk_ros.adopt.legs import leg_of
 from dqwalk_ros.adopt.skeleton import Skeleton
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import X, Z
+from dqwalk_ros.paper.geometry import X, Z, angle_of
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ModelError
 
@@ -155,7 +155,7 @@ def _sole(skeleton: Skeleton, ankle: str, leg: float, which: str) -> FoundSole:
             f"this biped stands on points or edges: the foot '{foot}' is round below{skeleton.lacking(links)}"
         )
     center = level + np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0]) @ axes
-    tilt = math.degrees(math.acos(min(1.0, normal[2])))
+    tilt = math.degrees(angle_of(normal[2]))
     share = (x1 - x0) * (y1 - y0) / hull.volume
     source = f"largest rectangle within the lowest points of the {which.removesuffix('s')} shapes"
     if tilt > 0.0:

@@ -20,6 +20,7 @@ from dqwalk_ros.nodes.doctor import Heard
 from dqwalk_ros.nodes.fall_watch import FallWatch
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import angle_of
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.directions import motion
@@ -206,7 +207,7 @@ def _check_soles(config: Config, model: RobotModel, heard: Heard) -> str:
     """Check that the joint angles place both soles in one plane, as on a level floor."""
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     x = DQ(kin.pose(kin.swing))
-    height, lean = float(x.translation()[2]), math.acos(min(max(float(x.rotation_matrix()[2, 2]), -1.0), 1.0))
+    height, lean = float(x.translation()[2]), angle_of(x.rotation_matrix()[2, 2])
     text = f"right sole {1e3 * height:+.1f} mm and {math.degrees(lean):.1f} deg off the left one's plane"
     if abs(height) > _HEIGHT or lean > _LEVEL:
         raise _Failed(f"{text}, computed from the joint angles: calibrate the legs with both soles flat on the floor")
@@ -238,7 +239,7 @@ def _check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> s
         raise _Failed(f"{error}: it must estimate an orientation (imu_filter_madgwick)") from error
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     back, right, height = kin.direction(model.imu, up)
-    lean = math.acos(min(max(float(height), -1.0), 1.0))
+    lean = angle_of(height)
     where = "back" if back > 0.0 else "ahead", "right" if right > 0.0 else "left"
     a = np.array([msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z])
     pull = float(np.linalg.norm(a))
@@ -248,7 +249,7 @@ def _check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> s
     )
     if lean > FallWatch.upside_down:
         raise _Failed(f"{text}: {FallWatch.other_frame}")
-    if (off := math.acos(min(max(float(up @ a) / max(pull, 1e-9), -1.0), 1.0))) > _UPRIGHT and pull > 1.0:
+    if (off := angle_of(up @ a / max(pull, 1e-9))) > _UPRIGHT and pull > 1.0:
         raise _Failed(
             f"{text}: its acceleration points {math.degrees(off):.0f} deg away from the vertical of its orientation: "
             "is that the inverse quaternion, or has it other axes?"

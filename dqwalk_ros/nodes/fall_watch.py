@@ -12,6 +12,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.estimation.vertical import turning
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import angle_of
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.plants.servo_goals import ServoGoals
@@ -221,7 +222,7 @@ class FallWatch:
         """
         self.lying = ""
         if up is not None:
-            lean = math.acos(min(max(float(self._upright @ up), -1.0), 1.0))
+            lean = angle_of(float(self._upright @ up))
             if lean > self._limits.tilt:
                 self.lying = f"the robot has fallen: its pelvis leans by {math.degrees(lean):.0f} deg"
             if lean > self.upside_down:

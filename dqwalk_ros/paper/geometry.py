@@ -21,6 +21,11 @@ X, Y, Z = np.eye(3)
 """Unit vectors along the axes of the frame in which they are used; z is up in the base, odom and world frames."""
 
 
+def angle_of(cosine: float) -> float:
+    """Return the angle [rad] of a cosine, which rounding may have moved beyond 1."""
+    return math.acos(min(max(cosine, -1.0), 1.0))
+
+
 @dataclass(frozen=True)
 class Plane:
     """Plane n + eps d: unit normal `n` (3,) and signed distance `d` [m] of the plane from the origin along `n`."""

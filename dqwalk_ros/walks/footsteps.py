@@ -14,6 +14,7 @@ from dqwalk_ros.paper.constraints import pose_error
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.features import Observer, Point, Rotation
 from dqwalk_ros.paper.foot import Foot
+from dqwalk_ros.paper.geometry import angle_of
 from dqwalk_ros.paper.kinematics import Kinematics
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
@@ -230,9 +231,7 @@ class Footsteps:
                 f"from {_STAIR * level:.0f} mm on a stair"
             )
         if up < math.cos(gait.footstep_tolerance / s.lever):
-            raise StateError(
-                f"it leans by {math.degrees(math.acos(min(max(up, -1.0), 1.0))):.1f} deg; soles stand level"
-            )
+            raise StateError(f"it leans by {math.degrees(angle_of(up)):.1f} deg; soles stand level")
         off, ahead = x.translation() - DQ(self.wanted(support, 0.0, 0.0, 0.0)).translation(), x.rotation_matrix()[:, 0]
         turn = math.atan2(ahead[1], ahead[0])
         if abs(off[0]) > gait.most_length + gait.footstep_tolerance:
