@@ -24,7 +24,7 @@ from dqwalk_ros.adopt.skeleton import Entry, Skeleton
 from dqwalk_ros.adopt.soles import FoundSole, find_soles, foot_links
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.paper.geometry import Y
+from dqwalk_ros.paper.geometry import X, Y
 from dqwalk_ros.robot.shapes import Shapes
 from dqwalk_ros.robot.urdf import Urdf, moves
 from dqwalk_ros.support.arrays import Array
@@ -168,6 +168,7 @@ def _anatomy(skeleton: Skeleton, pair: tuple[str, str], forward: str, named: boo
     skeleton = skeleton.turned(yaw @ up)
     legs = {Foot.LEFT: one, Foot.RIGHT: two}
     _check_knees(skeleton, legs)
+    _turn_knee(skeleton, legs)
     left, right = (_leg(skeleton, joints) for joints in legs.values())
     hip, ankle = 0.5 * (left.hip + right.hip), 0.5 * (left.ankle + right.ankle)
     check_density(urdf, float(hip[2] - ankle[2]))
@@ -285,11 +286,22 @@ def _fix_knees(skeleton: Skeleton, *legs: tuple[str, ...]) -> list[str]:
 def _check_knees(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
     """Raise ModelError if the knees bend sideways."""
     knees = [joints[_leg(skeleton, joints).knee] for joints in legs.values()]
-    if any(abs(skeleton.axis(knee) @ Y) < _LATERAL for knee in knees):
+    if all(abs(skeleton.axis(knee) @ Y) >= _LATERAL for knee in knees):
+        return
+    # of a linkage that is described as a chain, joints beside the leg are farther from hip and ankle than the knee
+    joints, knee = legs[Foot.LEFT], knees[0]
+    rest = [one for one in joints if abs(skeleton.axis(one) @ skeleton.axis(knee)) < _STRAIGHT]
+    leg = leg_of(*skeleton.lines(rest)) if rest else None
+    if leg is not None and abs(skeleton.axis(rest[leg.knee]) @ Y) >= _LATERAL:
+        chain = ", ".join(one for one in joints if one not in rest)
         raise ModelError(
-            f"the knees '{knees[0]}' and '{knees[1]}' bend sideways: their axes are not along the line from leg to leg"
-            ", so the legs cannot step ahead; are x and y exchanged in the positions of the legs or in the axes?"
+            f"'{rest[leg.knee]}' bends the leg ahead, but '{knee}' is farther from hip and ankle and bends it "
+            f"sideways: of {chain}, those that belong to a linkage must be fixed, or follow its motor (<mimic>)"
         )
+    raise ModelError(
+        f"the knees '{knees[0]}' and '{knees[1]}' bend sideways: their axes are not along the line from leg to leg"
+        ", so the legs cannot step ahead; are x and y exchanged in the positions of the legs or in the axes?"
+    )
 
 
 def _kind(axis: Array) -> str:
@@ -500,24 +512,48 @@ def _find_forward(
 
 
 def _knee_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:
-    """Return 1 if the bent knees point along `ahead`, -1 if they point against it, 0 if they bend both ways."""
+    """Return 1 if the bent knees point along `ahead`, -1 if they point against it, 0 if they do not agree."""
+    votes = {_knee_points(skeleton, leg, ahead) for leg in (one, two)}
+    return votes.pop() if len(votes) == 1 else 0.0
+
+
+def _knee_points(skeleton: Skeleton, leg: Sequence[str], ahead: Array) -> float:
+    """Return 1 if the bent knee of a leg points along `ahead`, -1 if it points against it, 0 if it bends both ways."""
     lateral = np.array([-ahead[1], ahead[0], 0.0])
-    out = 0.0
-    for leg in (one, two):
-        shape = leg_of(*skeleton.lines(leg))
-        knee = leg[shape.knee] if shape else ""
-        if shape is None or abs(skeleton.axis(knee) @ lateral) < 0.7:
-            return 0.0
-        joint = skeleton.joints[knee]
-        if not math.isfinite(joint.limit.lower + joint.limit.upper):
-            return 0.0
-        lean = joint.limit.lower + joint.limit.upper
-        if abs(lean) < 0.3 * (joint.limit.upper - joint.limit.lower):
-            return 0.0
-        shank = shape.ankle - shape.middle
-        moved = np.cross(math.copysign(1.0, lean) * skeleton.axis(knee), shank)
-        out += -math.copysign(0.5, float(moved @ ahead))  # the shank moves backward if the knee points forward
-    return out if abs(out) == 1.0 else 0.0
+    shape = leg_of(*skeleton.lines(leg))
+    knee = leg[shape.knee] if shape else ""
+    if shape is None or abs(skeleton.axis(knee) @ lateral) < 0.7:
+        return 0.0
+    joint = skeleton.joints[knee]
+    if not math.isfinite(joint.limit.lower + joint.limit.upper):
+        return 0.0
+    lean = joint.limit.lower + joint.limit.upper
+    if abs(lean) < 0.3 * (joint.limit.upper - joint.limit.lower):
+        return 0.0
+    shank = shape.ankle - shape.middle
+    moved = np.cross(math.copysign(1.0, lean) * skeleton.axis(knee), shank)
+    return -math.copysign(1.0, float(moved @ ahead))  # the shank moves backward if the knee points forward
+
+
+def _turn_knee(skeleton: Skeleton, legs: dict[Foot, tuple[str, ...]]) -> None:
+    """Give the range of a knee that bends back, while the other one bends ahead, the other sign if it mirrors it then.
+
+    The forward axis is x.
+    """
+    back = [foot for foot, joints in legs.items() if _knee_points(skeleton, joints, X) < 0.0]
+    knees = {foot: skeleton.joints[joints[_leg(skeleton, joints).knee]] for foot, joints in legs.items()}
+    if len(back) != 1 or _knee_points(skeleton, legs[back[0].other], X) <= 0.0:
+        return
+    wrong, other = knees[back[0]], knees[back[0].other]
+    limit = wrong.limit
+    least, most = (sorted((abs(one.limit.lower), abs(one.limit.upper))) for one in (wrong, other))
+    if max(abs(np.subtract(least, most))) > _UNLIKE:
+        return
+    skeleton.urdf.repairs.append(
+        f"joint '{wrong.name}' bends its knee back by {limit.lower:.2f} to {limit.upper:.2f} rad, '{other.name}' bends "
+        "the other one ahead: the limits are taken with the other sign"
+    )
+    limit.lower, limit.upper = -limit.upper, -limit.lower
 
 
 def _length_vote(skeleton: Skeleton, one: Sequence[str], two: Sequence[str], ahead: Array) -> float:

@@ -197,7 +197,7 @@ def test_a_leg_that_ends_higher_than_the_other_is_refused_with_joint_and_distanc
 
 
 def test_limits_that_do_not_mirror_each_other_are_doubted(tmp_path: Path) -> None:
-    wrong = r'(name="r_knee".*?lower=)"-2.2" upper="2.2"', r'\1"-0.1" upper="2.2"'
+    wrong = r'(name="r_knee".*?lower=)"-2.2" upper="2.2"', r'\1"-0.1" upper="1.7"'
     right = r'(name="l_knee".*?lower=)"-2.2" upper="2.2"', r'\1"-0.1" upper="2.2"'  # its axis is the opposite one
     found = {entry.what: entry for entry in anatomy_of(read(tmp_path, wrong, right)).evidence}
     assert "'l_knee' and 'r_knee' do not mirror each other: -0.10 to 2.20" in found["limits of the legs"].value
@@ -325,3 +325,46 @@ def test_hips_that_yaw_together_are_locked(tmp_path: Path) -> None:
     found = find_anatomy(urdf, Shapes(urdf, SMALL))
     assert [leg[0] for leg in found.legs.values()] == ["l_hip_roll", "r_hip_roll"]
     assert (found.sideways, found.turns) == (True, False)
+
+
+def test_a_linkage_that_is_described_as_a_chain_is_named() -> None:
+    """A joint beside the leg, parallel to the roll of the hip, is farther from hip and ankle than the knee."""
+    urdf = Urdf.load(SMALL)
+    for side, y in (("l", 0.3), ("r", -0.3)):
+        crank, knee = f"{side}_crank", urdf.joints[f"{side}_knee"]
+        urdf.add_frame(crank, knee.parent, DQ.from_pose([0.0, y, knee.origin[2, 3]]))
+        joint, roll = urdf.joints[f"{crank}_joint"], urdf.joints[f"{side}_hip_roll"]
+        joint.type, joint.axis, joint.limit = "revolute", roll.axis, roll.limit
+        knee.parent, knee.origin[1:3, 3] = crank, (knee.origin[1, 3] - y, 0.0)
+    with pytest.raises(ModelError, match=r"'l_knee' bends the leg ahead, but 'l_crank_joint' .* l_hip_roll, .*mimic"):
+        anatomy_of(urdf)
+
+
+def knees_of(urdf: Urdf, left: tuple[float, float], right: tuple[float, float]) -> Urdf:
+    """Give the knees other limits [rad]; the axis of the right one is the opposite one."""
+    for side, ends in (("l", left), ("r", (-right[1], -right[0]))):
+        limit = urdf.joints[f"{side}_knee"].limit
+        limit.lower, limit.upper = ends
+    return urdf
+
+
+AHEAD, BACK = (-0.1, 2.2), (-2.2, 0.1)
+
+
+@pytest.mark.parametrize("knees", [(BACK, AHEAD), (AHEAD, BACK)])
+def test_a_knee_whose_limits_have_the_wrong_sign_bends_like_the_other_one(
+    knees: tuple[tuple[float, float], ...],
+) -> None:
+    """As in Poppy's own first description."""
+    urdf, right = knees_of(Urdf.load(SMALL), *knees), knees_of(Urdf.load(SMALL), AHEAD, AHEAD)
+    found = anatomy_of(urdf)
+    assert any("_knee' bends its knee back by" in repair for repair in urdf.repairs)
+    for name in ("l_knee", "r_knee"):
+        assert vars(urdf.joints[name].limit) == vars(right.joints[name].limit)
+    assert not any(entry.what == "limits of the legs" for entry in found.evidence)
+
+
+def test_knees_that_both_bend_back_are_those_of_a_bird() -> None:
+    urdf = knees_of(Urdf.load(SMALL), BACK, BACK)
+    anatomy_of(urdf)
+    assert not any("bends its knee back" in repair for repair in urdf.repairs)
