@@ -49,6 +49,9 @@ _FIRST = 10
 """Steps of a dynamic walk, before the whole one, of a robot that cannot do the standing walk: many wait in each."""
 _COMPLIES, _SHORTER = 0.4, 0.7
 """Factors of ``servo.window`` and of the length of a step that may cure a dynamic walk."""
+_LOWER, _EARLIER, _SOONER = 0.6, 0.3, 0.7
+"""Those of the height of a step, the delay of its landing, and the duration of the start: without rolling ankles a body
+tips from foot to foot, and faster than a slow start assumes."""
 
 
 @dataclass(frozen=True)
@@ -154,13 +157,13 @@ def dynamic_walks(
     standing: Mapping[str, Any] | None,
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Trial, str]]:
-    """Walk the dynamic walk in physics; if it falls or its report is not OK, try five cures, one after the other.
+    """Walk the dynamic walk in physics; if it falls or its report is not OK, try seven cures, one after the other.
 
     These are more compliant legs, the same with all of the servos' lag assumed, goals ahead by all of this lag, stiffer
-    servos if their stiffness is a guess, and shorter steps; goals ahead and shorter steps with the changes of the best
-    of the walks before. Where a walk is `late`, its legs rather do not reach what it wants, and neither lag nor
-    stiffness of the servos is tried. A robot has one stiffness: before a stiffer one is tried, the standing walk has to
-    stand with it.
+    servos if their stiffness is a guess, an earlier start and landing, the same with lower steps, and shorter steps;
+    goals ahead and shorter steps with the changes of the best of the walks before. Where a walk is `late`, its legs
+    rather do not reach what it wants, and neither lag nor stiffness of the servos is tried. A robot has one stiffness:
+    before a stiffer one is tried, the standing walk has to stand with it.
 
     Yields each walk and a description of the changes before it, as `first_walks` does; `standing` are the changes that
     cured the standing walk, None if it does not stand. ``dynamic.yaml`` is that of the `best` of these walks in the
@@ -197,6 +200,11 @@ def dynamic_walks(
         **{f"gait.{key}": rounded(_SHORTER * getattr(gait, key), 2) for key in ("step_length", "most_length")},
         "gait.steps": math.ceil(gait.steps / _SHORTER),
     }
+    earlier = {
+        "dynamic.land_late": rounded(_EARLIER * config.dynamic.land_late, 2),
+        "dynamic.start_duration": rounded(_SOONER * config.dynamic.start_duration, 2),
+    }
+    lower = {**earlier, "gait.step_height": rounded(_LOWER * gait.step_height, 2)}
     none: dict[str, Any] = {}
     guessed = any(entry.what == "servo.stiffness" and entry.confidence == "guess" for entry in found.entries)
     stiffness = rounded(_STIFFER * found.numbers.mgh)
@@ -208,6 +216,8 @@ def dynamic_walks(
         ("these legs, and all of the servos' lag assumed (servo.assumed)", {**complies, **lag} if lag else none),
         ("goals ahead by all of the servos' lag (servo.assumed_lead)", ahead),
         (f"stiffer servos ({_STIFFER:g} m g h, servo.stiffness)", stiffer),
+        (f"an earlier start and landing ({_EARLIER:g} times dynamic.land_late)", earlier),
+        (f"both, and lower steps ({_LOWER:g} times gait.step_height)", lower),
         (f"shorter steps ({_SHORTER:g} times gait.step_length)", shorter),
     )
     entries = changed(found.entries, standing or {}, "changed after a standing walk that ended early")
@@ -216,7 +226,7 @@ def dynamic_walks(
         # lengths given by the user are those of the standing walk
         kept = {key: value for key, value in changes.items() if key not in given or key in shorter}
         late = bool(walks) and walks[-1].late
-        if (what and not kept) or (late and not (changes is complies or changes is shorter)):
+        if (what and not kept) or (late and not any(changes is one for one in (complies, earlier, lower, shorter))):
             continue
         if changes is stiffer and standing is not None:
             slow = load(found.folder / "robot.yaml").updated(kept)
