@@ -236,7 +236,7 @@ def _check_inertial_sensor(config: Config, model: RobotModel, heard: Heard) -> s
     try:
         up, gyro, _ = ros.inertial_of(msg)
     except StateError as error:
-        raise _Failed(f"{error}: it must estimate an orientation (imu_filter_madgwick)") from error
+        raise _Failed(str(error)) from error
     kin = Kinematics(model, heard.angles(model), Foot.LEFT)
     back, right, height = kin.direction(model.imu, up)
     lean = angle_of(height)

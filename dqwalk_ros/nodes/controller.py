@@ -304,6 +304,7 @@ class Controller(AnsweringNode):
 
     def _fail(self, reason: str) -> None:
         super()._fail(reason)
+        self._falls.forget()
         self._mode = Mode.FAILED
 
     def _done(self) -> None:

@@ -79,6 +79,8 @@ class Contradictions:
 
     memory = 10.0, 4.0, 1.0
     """Time constants of the decay: of what was asked for, of what was commanded, and of the vertical [s]."""
+    repeats = 0.3
+    """Time for which a slow sensor may repeat its measurement [s]."""
 
     def __init__(self, config: Config, model: RobotModel, timeout: Callable[[], float]) -> None:
         self._model, self._limit, self._period, self._timeout = model, config.safety.contradiction, config.dt, timeout
@@ -100,6 +102,7 @@ class Contradictions:
         self._before: State | None = None
         self._expected: list[_Expected] = []  # of a late plant that holds, and of one that moves
         self._off, self._turned = np.zeros((2, self._model.n)), np.zeros(3)
+        self._same = 0.0  # time for which the inertial sensor has measured exactly the same [s]
 
     def judge(self, state: State, commanded: Array, *, leaning: bool = False) -> str:
         """Return a description of the contradiction, empty if there is none.
@@ -132,18 +135,40 @@ class Contradictions:
                 f"{self._model.joint_names[k]} does not follow its commands, it is {off:.2f} rad off: it is "
                 "blocked or without power, its angle is frozen or has slipped, or the node that moves it was killed"
             )
-        if before.up is None or before.gyro is None or state.up is None:
+        if before.up is None or before.gyro is None or state.up is None or state.gyro is None:
             return ""
+        self._same = self._same + passed if _felt(before) == _felt(state) else 0.0
         turned = passed * turning(before.up, before.gyro)
         self._turned = math.exp(-passed / self.memory[2]) * (self._turned + state.up - before.up - turned)
+        self.largest = max(self.largest, math.sqrt(float(self._turned @ self._turned)))
+        return self.of_sensor(self._limit)
+
+    @property
+    def frozen(self) -> str:
+        """That the inertial sensor measures nothing new, although the robot walks; empty if it does."""
+        if self._same <= self.repeats:
+            return ""
+        return (
+            f"the inertial sensor has measured exactly the same for {self._same:.2g} s: its driver repeats an old "
+            "measurement, restart it"
+        )
+
+    def of_sensor(self, limit: float) -> str:
+        """Return that the inertial sensor contradicts itself by more than a limit [rad]; empty if it does not."""
         off = math.sqrt(float(self._turned @ self._turned))
-        self.largest = max(self.largest, off)
-        if off > self._limit:
-            return (
-                f"the inertial sensor contradicts itself: the rotation of its vertical differs by {off:.2f} rad from "
-                "that of its gyroscope; check its mounting"
-            )
-        return ""
+        if off <= limit:
+            return ""
+        return (
+            f"the inertial sensor contradicts itself: the rotation of its vertical differs by {off:.2f} rad from that "
+            "of its gyroscope; lean the robot by hand while dqwalk doctor listens, to check its mounting and signs"
+        )
+
+
+def _felt(state: State) -> list[float]:
+    """Return what the inertial sensor has measured at a state."""
+    assert state.up is not None
+    assert state.gyro is not None
+    return [*state.up.tolist(), *state.gyro.tolist()]
 
 
 @jit
@@ -227,13 +252,21 @@ class FallWatch:
                 self.lying = f"the robot has fallen: its pelvis leans by {math.degrees(lean):.0f} deg"
             if lean > self.upside_down:
                 self.lying += f": {self.other_frame}"
+            elif self.lying:
+                self.lying += self._cause
         return self.lying
 
     def tips(self, foot: Foot, lean: float) -> str:
         """Return how far a standing sole leans [rad], where that is a fall."""
         if lean <= self._limits.sole_tilt:
             return ""
-        return f"the robot falls: its {foot.value} sole leans by {math.degrees(lean):.0f} deg"
+        return f"the robot falls: its {foot.value} sole leans by {math.degrees(lean):.0f} deg{self._cause}"
+
+    @property
+    def _cause(self) -> str:
+        """What contradicted the commands or itself before a fall, too late to be confirmed; empty if nothing did."""
+        cause = self.suspected or self.contradictions.of_sensor(0.5 * self._limits.contradiction)
+        return "".join(f"; {text}" for text in (cause, self.contradictions.frozen) if text)
 
     def compare(self, state: State, commanded: Array, lean: float) -> str:
         """Return a confirmed contradiction between a state and what was commanded before it; empty if there is none.
@@ -257,4 +290,4 @@ class FallWatch:
         if (confirmed or not self.may_hold()) and (given_up := self.gives_up(self.contradictions.joint)).size:
             self.suspected = ""
             self.contradictions.forgive(given_up)
-        return self.suspected if confirmed else ""
+        return "; ".join(filter(None, [self.suspected, self.contradictions.frozen])) if confirmed else ""

@@ -33,7 +33,8 @@ class FootForces:
         if node.lockstep:
             raise ConfigError("'plant.foot_force' must be false in lockstep: sensors of the feet are read in real time")
         self._node, self.warning = node, ""
-        self._stamps, self._forces = [-math.inf, -math.inf], np.zeros(2)  # [ns], [N]
+        self._stamps, self._forces = [0, 0], np.zeros(2)  # [ns], [N]
+        self._received = [-math.inf, -math.inf]  # [s]
         for k, foot in enumerate(Foot):
             node.listen(WrenchStamped, f"{foot.value}_foot_wrench", partial(self._on_wrench, k), ros.best_effort(1))
 
@@ -41,13 +42,13 @@ class FootForces:
         force = msg.wrench.force
         if math.isfinite(norm := math.hypot(force.x, force.y, force.z)):
             self._stamps[k], self._forces[k] = ros.nanoseconds(msg.header.stamp), norm
+            self._received[k] = self._node.steady()
 
     def at(self, stamp: int) -> Array | None:
         """Return the forces (2,) [N] for a state with a stamp [ns]; None if one is missing or too old."""
         self.warning, longest = "", self._node.config.plant.command_timeout
-        for foot, one in zip(Foot, self._stamps, strict=True):
-            if not (off := 1e-9 * abs(stamp - one)) <= longest:
-                why = f"its stamp is {off:.3f} s away from the state's" if off < math.inf else "no message yet"
+        for foot, one, at in zip(Foot, self._stamps, self._received, strict=True):
+            if why := ros.untimely(1e-9 * (stamp - one), self._node.steady() - at, longest):
                 self.warning = f"the forces of the feet are not used: {foot.value}_foot_wrench: {why}"
                 self._node.get_logger().warning(self.warning, **throttled(10.0))
                 return None

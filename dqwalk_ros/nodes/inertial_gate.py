@@ -50,6 +50,9 @@ class InertialGate:
         Number of impossible measurements.
     reason : str
         Why the last measurement is not used as it is; empty if it is.
+    resumed : str
+        By how much the vertical turned while nothing was measured, if the last measurement ended such a gap; else
+        empty.
     """
 
     tilt, turn = 0.1, 2.0
@@ -71,7 +74,7 @@ class InertialGate:
         """Accept any measurement next, as the first one."""
         self.impossible.reset()
         self._too_strong.reset()
-        self.reason = ""
+        self.reason = self.resumed = self._strong = ""
         self._judged = self._accepted = -1  # stamps of the last measurement, and of the last accepted one [ns]
         self._last: Felt | None = None  # accepted
         self._used: Felt | None = None
@@ -93,6 +96,7 @@ class InertialGate:
             return self._used
         self._judged, passed = stamp, 1e-9 * (stamp - self._accepted)
         last = self._last if abs(passed) <= self._longest() else None  # it may be late, so that it follows a newer one
+        self.resumed = ""
         if isinstance(felt, StateError):
             self.reason = str(felt)
         else:
@@ -102,6 +106,7 @@ class InertialGate:
                 return Felt(felt.up, np.zeros(3), None)
             if not self.reason:
                 self.impossible.good()
+                self.resumed = self._after_a_gap(felt, passed) if last is None else ""
                 self._accepted = stamp
                 self._last = self._used = felt
                 return felt
@@ -133,19 +138,37 @@ class InertialGate:
             )
         return ""
 
+    def _after_a_gap(self, felt: Felt, passed: float) -> str:
+        """Return by how much the vertical has turned since the last measurement, `passed` [s] ago, or ""."""
+        off = 0.0 if self._last is None else float(np.linalg.norm(felt.up - self._last.up))
+        if off <= self.tilt:
+            return ""
+        return (
+            f"imu: its vertical turned by {math.degrees(off):.0f} degrees in {abs(passed):.3g} s without a measurement"
+            ": was the robot moved, or does a sensor that was restarted take its posture for upright?"
+        )
+
     def _possible(self, acceleration: Array | None) -> Array | None:
         """Return an acceleration, or instead of a single impossible one the last one; None if there are more."""
         if acceleration is None or (strongest := float(np.abs(acceleration).max())) <= self.strongest:
             self._too_strong.good()
             return acceleration
         self.rejected += 1
-        self._too_strong.fault(f"imu: an acceleration of {strongest:.3g} m/s^2; the odometry does without")
+        most = f"{self.strongest:.0f} m/s^2 is the most"
+        self._strong = f"imu: an acceleration of {strongest:.3g} m/s^2, where {most}: check its unit"
+        self._too_strong.fault(f"{self._strong}; the odometry does without")
         return None if self._too_strong or self._last is None else self._last.acceleration
 
     @property
     def warning(self) -> str:
         """What is wrong with the accelerometer; empty if nothing is."""
         return self._too_strong.reason
+
+    @property
+    def rejection(self) -> str:
+        """Why the last message that was rejected was, and what is used instead of it."""
+        wrong = self.reason or self._strong
+        return self.warning if not self.reason and self.warning else f"{wrong}; the last one is used instead"
 
 
 def _turned(up: Array, omega: Array, time: float) -> Array:

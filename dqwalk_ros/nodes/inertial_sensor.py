@@ -9,8 +9,10 @@ from collections.abc import Callable
 from sensor_msgs.msg import Imu, JointState
 
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes import wheels
 from dqwalk_ros.nodes.base import WalkNode, throttled
 from dqwalk_ros.nodes.inertial_gate import Felt, InertialGate
+from dqwalk_ros.nodes.publishers import FirstPublisher
 from dqwalk_ros.paper.state import State
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.wording import shown
@@ -21,6 +23,7 @@ class InertialSensor:
 
     In lockstep a state waits for the imu message with the same stamp. In real time the newest message is used, if its
     stamp is within ``plant.command_timeout`` of the state's; the first one may arrive that long after the first state.
+    Messages of a second sensor are ignored.
 
     Parameters
     ----------
@@ -42,11 +45,19 @@ class InertialSensor:
         self._node, self._frame, self._gate, self._on_state = node, frame, gate, on_state
         self._newest: Imu | None = None
         self._waiting: JointState | None = None
-        self._first = math.inf  # time of receipt of the first state [s]
-        node.listen(Imu, "imu", self._on_imu, 1 if node.lockstep else ros.best_effort(1))
+        self._first, self._received = math.inf, -math.inf  # times of receipt: of the first state, of the newest [s]
+        self._source = FirstPublisher(lambda: node.config.plant.command_timeout, node.steady)
+        node.listen(Imu, "imu", wheels.numbered(self._on_imu), 1 if node.lockstep else ros.best_effort(1))
 
-    def _on_imu(self, msg: Imu) -> None:
-        self._newest = msg
+    def _on_imu(self, msg: Imu, number: int) -> None:
+        own, newest = self._is_own(msg), self._newest
+        foreign = not own and newest is not None and self._is_own(newest)
+        if foreign or (own and not self._node.lockstep and self._source.is_another(number)):
+            names = ", ".join(ros.publishers_of(self._node, "imu"))
+            text = f"imu: messages of a second sensor are ignored, stop or remap it: {names} publish them"
+            self._node.get_logger().error(text, **throttled())
+            return
+        self._newest, self._received = msg, self._node.steady()
         waiting = self._waiting
         if waiting is not None and waiting.header.stamp == msg.header.stamp:
             self._waiting = None
@@ -72,20 +83,25 @@ class InertialSensor:
                 return None  # the node has just started
             raise StateError("imu: no message yet (plant.imu is true)")
         else:
-            age = 1e-9 * abs(ros.nanoseconds(msg.header.stamp) - ros.nanoseconds(newest.header.stamp))
-            if age > self._node.config.plant.command_timeout:
-                raise StateError(f"imu: its stamp is {age:.3f} s away from the state's")
-        if not ros.is_frame_of(self._frame, given := newest.header.frame_id):
-            raise StateError(
-                f"imu: it is in the frame '{shown(given)}', and robot.imu is '{self._frame}': they must agree"
-            )
+            before = 1e-9 * (ros.nanoseconds(msg.header.stamp) - ros.nanoseconds(newest.header.stamp))
+            silent, longest = self._node.steady() - self._received, self._node.config.plant.command_timeout
+            if why := ros.untimely(before, silent, longest):
+                raise StateError(f"imu: {why}")
+        if not self._is_own(newest):
+            given = shown(newest.header.frame_id)
+            raise StateError(f"imu: it is in the frame '{given}', and robot.imu is '{self._frame}': they must agree")
         rejected = self._gate.rejected
         felt = self._gate.use(ros.nanoseconds(newest.header.stamp), self._read(newest))
         if self._gate.rejected > rejected:
-            reason = self._gate.reason or self._gate.warning
-            text = f"imu rejected ({self._gate.rejected} so far), the last one is used instead: {reason}"
+            text = f"imu rejected ({self._gate.rejected} so far): {self._gate.rejection}"
             self._node.get_logger().error(text, **throttled())
+        if resumed := self._gate.resumed:
+            self._node.get_logger().warning(resumed, **throttled())
         return dataclasses.replace(state, up=felt.up, gyro=felt.gyro, acceleration=felt.acceleration)
+
+    def _is_own(self, msg: Imu) -> bool:
+        """Return whether a message is in the frame of the robot's sensor."""
+        return ros.is_frame_of(self._frame, msg.header.frame_id)
 
     @staticmethod
     def _read(msg: Imu) -> Felt | StateError:

@@ -31,6 +31,8 @@ from dqwalk_ros.support.wording import listed
 
 _LEASE = 0.5
 """Time without a sign of life after which a publisher of `watched` is taken for killed or stopped [s]."""
+_FUSION = "measure it, or estimate it by a filter (imu_filter_madgwick)"
+"""Where an inertial sensor does not estimate what the walk needs."""
 
 
 def best_effort(depth: int) -> QoSProfile:
@@ -308,6 +310,31 @@ def imu(stamp: int, frame: str, measured: Inertial) -> Imu:
     return msg
 
 
+def untimely(before: float, silent: float, longest: float) -> str:
+    """Return why a message is not of the time of a state, and what to do; empty if it is.
+
+    Parameters
+    ----------
+    before : float
+        From its stamp to that of the state [s].
+    silent : float
+        Since it was received [s]; infinite if there is none.
+    longest : float
+        Largest difference of the stamps [s].
+    """
+    if silent == math.inf:
+        return "no message yet"
+    if abs(before) <= longest:
+        return ""
+    if silent > longest:
+        return f"no message for {silent:.3g} s: its driver has stopped, or sends too seldom"
+    where = "before" if before > 0.0 else "after"
+    return (
+        f"its stamp is {abs(before):.3f} s {where} the state's, though it has just arrived: stamp both with the time "
+        "of the measurement, by one clock (chrony)"
+    )
+
+
 def is_frame_of(link: str, frame: str) -> bool:
     """Return whether a frame_id is that of a link: its name, with or without a prefix such as ``robot1/``, or empty."""
     return not frame or frame.rpartition("/")[2] == link
@@ -326,13 +353,13 @@ def inertial_of(msg: Imu) -> tuple[Array, Array, Array | None]:
     """
     for what in ("orientation", "angular_velocity"):
         if getattr(msg, f"{what}_covariance")[0] < 0.0:
-            raise StateError(f"imu: it has no {what.replace('_', ' ')} (its covariance begins with -1)")
+            raise StateError(f"imu: its covariance says that it has no {what.replace('_', ' ')}: {_FUSION}")
     r, w, a = msg.orientation, msg.angular_velocity, msg.linear_acceleration
     size = math.sqrt(r.w * r.w + r.x * r.x + r.y * r.y + r.z * r.z)
     gyro, acceleration = np.array([w.x, w.y, w.z]), np.array([a.x, a.y, a.z])
     if not abs(size - 1.0) < 1e-3:
-        why = "" if size else ": it estimates no orientation"
-        raise StateError(f"imu: not a unit quaternion, its norm is {size:g}{why}")
+        cure = "its driver must normalize it" if size else f"it estimates no orientation: {_FUSION}"
+        raise StateError(f"imu: not a unit quaternion, its norm is {size:g}: {cure}")
     if not np.isfinite(gyro).all():
         raise StateError("imu: its angular velocity is not finite: {:g}, {:g}, {:g} rad/s".format(*gyro))
     known = msg.linear_acceleration_covariance[0] >= 0.0 and bool(np.isfinite(acceleration).all())

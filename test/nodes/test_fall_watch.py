@@ -150,3 +150,27 @@ def test_a_vertical_that_turns_without_its_gyroscope_contradicts_it(sign: float)
         missing = turned(k, 0.0)
         missing.gyro, missing.up = (None, missing.up) if sign > 0.0 else (missing.gyro, None)
         assert not one.judge(missing, STILL)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_fall_names_an_inertial_sensor_that_contradicts_itself(sign: float) -> None:
+    """A robot whose gyroscope is inverted falls before the contradiction is confirmed."""
+    one = watch()
+    for k in range(200):
+        up = np.array([math.sin(k * DT), 0.0, math.cos(k * DT)])
+        if fall := one.look(up):
+            break
+        one.compare(state(k, up=up, gyro=np.array([0.0, -sign, 0.0])), STILL, 0.0)
+    assert "its pelvis leans by" in fall
+    assert ("the inertial sensor contradicts itself" in fall) == (sign < 0.0)
+    assert ("dqwalk doctor" in one.tips(Foot.LEFT, 1.0)) == (sign < 0.0)
+
+
+@pytest.mark.parametrize("noise", [1e-9, 0.0])
+def test_a_fall_names_an_inertial_sensor_that_measures_nothing_new(noise: float) -> None:
+    """Its vertical and its angular velocity do not contradict each other."""
+    one = watch()
+    for k in range(40):
+        one.compare(state(k, 0.001 * k, up=UP, gyro=np.array([0.0, 0.0, noise * k])), STILL, 0.0)
+    fall = one.tips(Foot.LEFT, 1.0)
+    assert ("exactly the same for 0.39 s: its driver repeats an old measurement" in fall) == (noise == 0.0)

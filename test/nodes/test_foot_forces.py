@@ -43,12 +43,13 @@ def test_old_missing_and_impossible_forces_are_not_used(make: Any) -> None:
     feet._on_wrench(0, wrench_at(1000 * MS, 0.0, 0.0, 20.0))
     assert feet.at(1000 * MS) is None  # only one foot
     unused = "the forces of the feet are not used: "
+    arrived = "though it has just arrived: stamp both with the time of the measurement, by one clock (chrony)"
     assert one.node._condition()[:2] == ("WARN", f"{unused}right_foot_wrench: no message yet")
     feet._on_wrench(1, wrench_at(1000 * MS, 0.0, 0.0, 6.0))
     assert list(feet.at(1090 * MS)) == [20.0, 6.0]
     assert one.node._condition()[0] == "OK"
     assert feet.at(1110 * MS) is None
-    assert feet.warning == f"{unused}left_foot_wrench: its stamp is 0.110 s away from the state's"
+    assert feet.warning == f"{unused}left_foot_wrench: its stamp is 0.110 s before the state's, {arrived}"
     assert f"{unused}left_foot_wrench: no message yet" in one.log
     for wrong in (math.nan, math.inf):
         feet._on_wrench(0, wrench_at(1050 * MS, wrong, wrong, wrong))
