@@ -347,11 +347,20 @@ class Controller(AnsweringNode):
             self._controller.pause(False)
             self._mode, self._pausing = Mode.WALKING, False
             self._show_phase()
-            return True, "walking" if self._plant.ready else "walking once the plant is ready"
+            return True, f"walking{self._once}"
         if self._mode is Mode.WALKING:
-            return True, "already walking"
+            return True, f"already walking{self._once}"
         why = "it is over" if self._mode is Mode.DONE else f"it failed: {self._problem}"
         return False, f"this walk cannot continue, {why}; call ~/reset first"
+
+    @property
+    def _once(self) -> str:
+        """What has to happen before the robot moves; empty if nothing has."""
+        if self._accepted < 0 or self._stale:
+            return " once joint_states are accepted: /diagnostics says why they are not"
+        if held := (self._duplicates and f"two plants: {self._duplicates}") or self._slow:
+            return f" once this is over: {held}"
+        return "" if self._plant.ready else f" once {self._plant.waits}"
 
     def _pause(self) -> tuple[bool, str]:
         if self._mode is not Mode.WALKING:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.event_handler import SubscriptionEventCallbacks
 from std_msgs.msg import Bool, String
 
@@ -18,8 +19,6 @@ _MOVED = 0.1
 """Largest motion of a joint while the plant is not ready after which an interrupted walk continues [rad]."""
 _LEFT_ALONE = 1.0
 """Longest time for which the plant may be not ready whatever the joints do: they come to rest where they hold [s]."""
-
-_WAITS = "standing still until the plant is ready"
 
 
 class PlantReadiness:
@@ -34,6 +33,8 @@ class PlantReadiness:
     ----------
     ready : bool
         Whether the plant executes commands; true until it says otherwise.
+    why : str
+        Why it does not, as it reports on /diagnostics; empty if it does, or has not reported it yet.
     warning : str
         Why the walk should end; empty without a warning.
     """
@@ -41,10 +42,11 @@ class PlantReadiness:
     def __init__(self, node: WalkNode, warned: Callable[[str], None]) -> None:
         self._node, self._logger, self._warned = node, node.get_logger(), warned
         self.ready = self._says_ready = True  # now, and by its last message
-        self.warning = ""
+        self.warning = self.why = ""
         self._left_at: State | None = None  # at which the plant has interrupted the walk
         ros.hear(node, Bool, "plant_ready", self._on_ready)
         ros.hear(node, String, "plant_warning", self._on_warning)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         alive = SubscriptionEventCallbacks(liveliness=self._on_liveliness, use_default_callbacks=False)
         node.create_subscription(Bool, "plant_ready", lambda _: None, ros.watched(), event_callbacks=alive)
 
@@ -63,7 +65,19 @@ class PlantReadiness:
     def _wait(self, ready: bool, why: str) -> None:
         if ready != self.ready:
             self.ready = ready
-            self._logger.info("the plant is ready" if ready else f"{why}{_WAITS}")
+            self._logger.info("the plant is ready" if ready else f"{why}standing still until the plant is ready")
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        """Note why a plant that is not ready is not."""
+        for status in msg.status:
+            name, _, what = status.name.partition(": ")
+            if what == "plant" and f"/{name}" in ros.publishers_of(self._node, "plant_ready"):
+                self.why = "" if status.level == DiagnosticStatus.OK else one_line(status.message)
+
+    @property
+    def waits(self) -> str:
+        """What the walk waits for, and why."""
+        return f"the plant is ready{self.why and f': {self.why}'}"
 
     def _on_warning(self, msg: String) -> None:
         before, self.warning = self.warning, one_line(msg.data)
@@ -78,7 +92,8 @@ class PlantReadiness:
         if self.ready or not walking:
             return f"the plant warns: {self.warning}" if self.warning else ""
         several = ros.publishers_of(self._node, "plant_ready")
-        return _WAITS + (f", which {' and '.join(several)} say" if len(several) > 1 else "")
+        said = f", which {' and '.join(several)} say" if len(several) > 1 else ""
+        return f"standing still until {self.waits}{said}"
 
     def moved(self, state: State, *, begun: bool) -> tuple[int, float] | None:
         """Return the joint that was moved too far while the plant interrupted a walk, and by how much [rad], or None.

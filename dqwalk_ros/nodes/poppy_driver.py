@@ -19,7 +19,7 @@ from dqwalk_ros.paper.state import Command
 from dqwalk_ros.plants.poppy.motors import require_bus
 from dqwalk_ros.plants.poppy.plant import PoppyPlant
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.support.errors import PlantError
+from dqwalk_ros.support.errors import DqwalkError, PlantError
 from dqwalk_ros.support.topics import FALLEN, VELOCITY
 
 _SOONEST = 0.5
@@ -84,6 +84,7 @@ class PoppyDriver(WalkNode):
         self._state_msg = ros.JointWriter(self._plant.names)
         self._goal_msg = ros.JointWriter(self._plant.names)
         self._hardware = f"{model.name}{' (emulated motors)' if config.poppy.dummy else ''}"
+        self._refused = ""  # why the last ~/activate was, if no motor has a fault, which is reported while it lasts
         self._stamp, self._measured_at = -1, -math.inf  # of the state published last [ns], and by the steady clock [s]
         self._sent_at = self._read_at = self.steady()
         self._counts = {"ticks": 0, "periods missed": 0, "states withheld": 0}
@@ -165,6 +166,7 @@ class PoppyDriver(WalkNode):
         if not reason and not plant.active:
             on = "the motors hold where they are, not activated by this driver: call ~/activate, or ~/compliant"
             reason = on if plant.stiff else "the torque is off: call ~/activate"
+            reason += f"; it was refused last time: {self._refused}" if self._refused else ""
         if not reason and not plant.ready:
             reason = "moving to the first pose"
             self.get_logger().info(f"{reason}: {plant.remaining:.2f} rad left", **throttled())
@@ -185,8 +187,12 @@ class PoppyDriver(WalkNode):
         if on and self._plant.active and not self._plant.watch.faults:  # it may be in mid-step
             return True, "the torque is on already"
         self._commands.gate.hold()
+        self._refused = ""
         try:
             self._plant.activate() if on else self._plant.release()
+        except DqwalkError as error:
+            self._refused = str(error) if on and not self._plant.watch.faults else ""
+            raise
         finally:
             self._hold_for_a_reason()
         return True, "the torque is on: moving to the first pose, slowly" if on else "the torque is off"

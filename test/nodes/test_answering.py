@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from inside import state, values
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -14,6 +15,7 @@ from std_srvs.srv import Trigger
 
 from dqwalk_ros.config import load
 from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.controller import Mode
 from dqwalk_ros.paper.state import Command
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import ModelError, QPError
@@ -37,6 +39,11 @@ class Answered:
         self.node, self.log, self.got = self.one.node, self.one.log, self.one.got
         self.sent = self.got["joint_velocity_commands"]
         self.now = 10.0
+
+    def start(self) -> str:
+        """Return the answer of ~/start."""
+        message: str = self.one.call("~/start", Trigger.Request()).message
+        return message
 
     def tick(self, q: Any = None, *, passed: float = CONFIG.dt, stamp: float | None = None) -> Any:
         """Let time pass and send a state; return the commanded velocities, empty if it is not answered."""
@@ -121,6 +128,41 @@ def test_a_walk_that_waits_for_its_plant_says_so(make: Any, monkeypatch: pytest.
     assert (walk.status.level, walk.status.message) == (b"\x01", "standing still until the plant is ready")
     monkeypatch.setattr(ros, "publishers_of", lambda *_: ("/drive", "/player"))
     assert walk.status.message.endswith("ready, which /drive and /player say")
+
+
+@pytest.mark.parametrize("names", [("/drive",), ("/robot/drive", "/player")])
+def test_a_walk_that_waits_for_its_plant_says_why(make: Any, monkeypatch: pytest.MonkeyPatch, names: Any) -> None:
+    """The plant says it on /diagnostics, where others report, too."""
+    walk = Answered(make)
+    monkeypatch.setattr(ros, "publishers_of", lambda *_: names)
+    walk.one.send("plant_ready", Bool(data=False))
+
+    def reports(name: str, text: str, level: bytes = DiagnosticStatus.WARN) -> None:
+        status = DiagnosticStatus(name=name, level=level, message=text)
+        walk.one.send("/diagnostics", DiagnosticArray(status=[status]))
+
+    own = names[0].lstrip("/")
+    reports(f"{own}: plant", "the torque is off:\ncall ~/activate")
+    reports(f"{own}: motors", "too hot")
+    reports("other: plant", "asleep")
+    once = "once the plant is ready: the torque is off: call ~/activate"
+    assert not any(walk.tick())
+    assert walk.start() == f"already walking {once}"
+    walk.node._mode = Mode.IDLE
+    assert walk.start() == f"walking {once}"
+    assert not any(walk.tick())
+    assert "standing still until the plant is ready: the torque is off: call ~/activate" in walk.status.message
+    reports(f"{own}: plant", "moving", DiagnosticStatus.OK)
+    assert walk.node._plant.why == ""
+
+
+def test_a_start_that_moves_nothing_yet_says_what_has_to_happen(make: Any) -> None:
+    walk = Answered(make)
+    assert walk.start() == "already walking once joint_states are accepted: /diagnostics says why they are not"
+    assert any(walk.tick())
+    assert walk.start() == "already walking"
+    walk.node._duplicates = "/a, /b"
+    assert walk.start() == "already walking once this is over: two plants: /a, /b"
 
 
 def test_before_the_first_state_it_says_what_it_waits_for(make: Any) -> None:

@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 from dqwalk_ros.cli.runner import private_domain
 from dqwalk_ros.config import Config, load, overlaid
 from dqwalk_ros.plants.poppy.dynamixel import GOAL, TORQUE_ENABLE
-from dqwalk_ros.support.errors import ConfigError
+from dqwalk_ros.support.errors import ConfigError, PlantError
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = load("paper").updated({"dt": 0.02, "monitor.rate": 20.0})
@@ -371,6 +371,24 @@ def test_the_first_pose_is_the_posture_of_the_walk(make: Any, monkeypatch: pytes
     one, memory = driver_node(make, monkeypatch, CONFIG.updated(settings))
     until(one, lambda: one.node._plant.ready)
     assert memory.angle(RIGHT_KNEE) == pytest.approx(0.5, abs=CONFIG.poppy.start_tolerance)
+
+
+def test_a_refused_activation_is_reported_until_the_next_one(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The answer of the service is long gone when somebody wonders why the robot does not walk."""
+    one, _ = driver_node(make, monkeypatch, CONFIG)
+
+    def refuse() -> None:
+        raise PlantError("no way to the first pose keeps l_hand and head apart")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(one.node._plant, "activate", refuse)
+        assert not one.call("activate", Trigger.Request()).success
+    one.node._diagnose()
+    said = one.got["diagnostics"][-2].status[0].message
+    assert said.startswith("the torque is off: call ~/activate; it was refused last time: no way to the first pose")
+    assert one.call("activate", Trigger.Request()).success
+    one.node._diagnose()
+    assert "refused" not in one.got["diagnostics"][-2].status[0].message
 
 
 def test_a_robot_that_would_never_move_is_refused(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
