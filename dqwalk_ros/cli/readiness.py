@@ -30,6 +30,8 @@ from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.support.topics import VELOCITY
 from dqwalk_ros.support.wording import shown
 
+_RESTARTS = 2
+"""Most restarts of a driver while the doctor listens."""
 _RATE = 0.2
 """Largest relative error of the period of the states."""
 _LATE = 3.0
@@ -95,6 +97,11 @@ def _check_states(config: Config, model: RobotModel, heard: Heard) -> str:
         raise _Failed(
             f"none in {heard.seconds:g} s; publisher: {publishers}: start the driver, or the joint_state_broadcaster; "
             "check that ROS_DOMAIN_ID, namespace and ROS_AUTOMATIC_DISCOVERY_RANGE are the same here and there"
+        )
+    if heard.backs > _RESTARTS and len(heard.publishers) > 1:
+        raise _Failed(
+            f"{' and '.join(heard.publishers)} publish the same joints: stop all but one, or remap the joint_states of "
+            "the others"
         )
     return f"{len(heard.states)} in {heard.seconds:g} s from {', '.join(sorted(set(heard.publishers)))}"
 

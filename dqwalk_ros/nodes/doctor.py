@@ -40,6 +40,9 @@ class Heard:
     """With the time of receipt [ns]."""
     errors: dict[str, str] = field(default_factory=dict)
     """Messages of /diagnostics at the level ERROR, by name of the status."""
+    backs: int = 0
+    """How often a message of joint_states had a smaller number of its publisher than the one before it with the same
+    joints: once if the publisher was restarted, more often if there are two."""
     ready: bool | None = None
     """Value of plant_ready; None if it is not published."""
     plant: str = ""
@@ -83,7 +86,8 @@ class Doctor(Node):
         self.heard = heard = Heard(0.0)
         self._latched: set[str] = set()  # topics of which a message was received
         best_effort = ros.best_effort(100)
-        self.create_subscription(JointState, "joint_states", partial(self._store, heard.states), best_effort)
+        self._numbers: dict[frozenset[str], int] = {}  # of the last message with these joints
+        self.create_subscription(JointState, "joint_states", wheels.numbered(self._on_state), best_effort)
         self.create_subscription(Imu, "imu", partial(self._store, heard.imus), best_effort)
         self.create_subscription(JointState, VELOCITY, self._on_command, best_effort)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
@@ -93,6 +97,12 @@ class Doctor(Node):
 
     def _store(self, messages: list[tuple[Any, int]], msg: Any) -> None:
         messages.append((msg, self.get_clock().now().nanoseconds))
+
+    def _on_state(self, msg: JointState, number: int) -> None:
+        self._store(self.heard.states, msg)
+        joints = frozenset(msg.name)
+        self.heard.backs += number < self._numbers.get(joints, number)
+        self._numbers[joints] = number
 
     def _on_ready(self, msg: Bool) -> None:
         self._latched.add("plant_ready")

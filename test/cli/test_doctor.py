@@ -72,6 +72,23 @@ def test_a_simulation_behind_real_time_is_no_fault() -> None:
     assert not failed_checks(robot(age=0.2, simulated=True))
 
 
+def test_messages_of_two_publishers_of_the_same_joints_are_counted(domain: int) -> None:
+    """Not those of a gripper, and a driver that was restarted once is none."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    try:
+        node = Doctor(context)
+        (heard,) = (s for s in node.subscriptions if s.topic_name == "/joint_states")
+        for k in range(40):
+            for names, number in ((["a", "b"], 50 + k), (["gripper"], 7 + k), (["b", "a"], k)):
+                if k >= 10 or number != k:
+                    heard.callback(JointState(name=names), {"publication_sequence_number": number})
+        assert node.heard.backs == 30
+        assert len(node.heard.states) == 110
+    finally:
+        context.try_shutdown()
+
+
 @pytest.mark.parametrize("phase", ["idle", "finished", "failed", "fallen"])
 def test_a_controller_without_a_walk_is_no_fault(phase: str) -> None:
     assert not failed_checks(robot(phase=phase, controllers=("/controller",)))
@@ -287,6 +304,7 @@ def few_imus(every: int) -> Heard:
 
 FAULTS: dict[str, tuple[Callable[[], Heard], str, str]] = {
     "silent": (lambda: robot(states=[], publishers=()), "states", "start the driver"),
+    "two drivers": (lambda: robot(backs=90, publishers=("/a", "/b")), "states", "/a and /b publish the same joints"),
     "another robot": (lambda: robot(names=["x", *MODEL.joint_names[1:]]), "joints", "joints missing: l_hip_x"),
     "legs apart": (lambda: halves(), "joints", "; other messages have them, but one must have all: name the joints"),
     "slow": (lambda: robot(period=0.02), "rate", "set dt to 0.02 in a file for --params and params:="),
