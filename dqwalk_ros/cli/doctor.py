@@ -71,6 +71,7 @@ def doctor(
     Listens to its topics without moving anything, and prints the result of each check; if a check failed, also what to
     do. docs/hardware.md takes a robot from the box to its first step. Exit code 1 if a check failed.
     """
+    from dqwalk_ros.cli.progress import Progress
     from dqwalk_ros.robot.model import load_model
 
     made, plant = setup.made(), setup.plant
@@ -79,7 +80,9 @@ def doctor(
     if by_hand and offline:
         raise ConfigError("--by-hand listens to the robot, which --offline does not: leave one of them out")
     model = load_model(made.robot)
-    findings = _findings(made, model, plant, controllers)
+    with Progress() as bar:
+        bar.stage(0.0, "checking the configuration")
+        findings = _findings(made, model, plant, controllers)
     print(f"{model.name}: {model.n} joints, configuration '{setup.config}', plant {plant}")
     for finding in findings:
         print(f"! {'configuration':22s} {finding}")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import cmath
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import command, config_of, config_option, set_option
+from dqwalk_ros.cli.options import command, config_of, config_option, params_option, set_option
 from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -30,8 +31,9 @@ examples:
 """)
 @config_option("poppy")
 @click.option("--support", type=click.Choice(["left", "right"]), default="left", help="Support foot.")
+@params_option
 @set_option
-def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
+def footsteps(config: str, support: str, params: tuple[Path, ...], changes: tuple[str, ...]) -> int:
     """Show which steps the legs of a robot can reach.
 
     A footprint is moved to the nearest one that can be reached with both soles flat and the centre of mass over either
@@ -45,7 +47,7 @@ def footsteps(config: str, support: str, changes: tuple[str, ...]) -> int:
     from dqwalk_ros.support.text_table import aligned
     from dqwalk_ros.walks.standing.walk import StandingWalk
 
-    made, foot = config_of(config, changes), Foot(support)
+    made, foot = config_of(config, changes, params=params), Foot(support)
     if made.gait.style != "standing":
         raise ConfigError(f"footsteps need a standing walk; gait.style of '{config}' is {made.gait.style}")
     model = load_model(made.robot)

@@ -12,6 +12,18 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 _TICK, _PAUSE = 1.0, 10.0
 """Longest time between two states of the bar, and between two lines where there is no terminal [s]."""
+_EARLY = 0.01
+"""Fraction done before which no time left is shown: it would be hours, from the first steps and what preceded them."""
+
+
+class _Bar(tqdm):  # type: ignore[misc]
+    """tqdm's bar, which shows the time left once it can be known."""
+
+    @property
+    def format_dict(self) -> dict[str, Any]:
+        """The fields of the format."""
+        left = "<{remaining}" if self.n >= _EARLY else ""
+        return {**super().format_dict, "bar_format": f"{{percentage:3.0f}} % |{{bar:20}}| {{elapsed}}{left} {{desc}}"}
 
 
 class Progress:
@@ -24,14 +36,13 @@ class Progress:
         self._terminal = sys.stderr.isatty()
         self._fraction, self._text, self._over = 0.0, "", threading.Event()
         self._thread = None if quiet else threading.Thread(target=self._keep_showing, daemon=True)
-        self._bar = tqdm(
+        self._bar = _Bar(
             total=1.0,
             disable=quiet or not self._terminal,
             leave=False,
             miniters=0,  # a new text is shown also without progress
             smoothing=0.0,  # a walk reports whole phases: the mean speed of all of them
             dynamic_ncols=True,  # what is too long for a line is cut off at its end
-            bar_format="{percentage:3.0f} % |{bar:20}| {elapsed}<{remaining} {desc}",
         )
 
     def __enter__(self) -> Self:

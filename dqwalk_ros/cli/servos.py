@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dqwalk_ros.cli.options import command, config_of, quiet_option, set_option
+from dqwalk_ros.cli.options import command, config_of, params_option, quiet_option, set_option
 from dqwalk_ros.support.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -37,8 +37,9 @@ examples:
 @click.argument("robot", metavar="ROBOT", default="poppy_dynamic")
 @click.option("--type", "names", metavar="TYPE", multiple=True, help="Only this type; may be repeated.")
 @quiet_option
+@params_option
 @set_option
-def servos(robot: str, names: tuple[str, ...], quiet: bool, changes: tuple[str, ...]) -> int:
+def servos(robot: str, names: tuple[str, ...], quiet: bool, params: tuple[Path, ...], changes: tuple[str, ...]) -> int:
     """Show how fast a biped can walk with its servos, or others.
 
     ROBOT is the configuration of a dynamic walk, or a folder that `dqwalk adopt` has written.
@@ -49,7 +50,8 @@ def servos(robot: str, names: tuple[str, ...], quiet: bool, changes: tuple[str, 
     from dqwalk_ros.studies.servo_choice import Gait, choose
     from dqwalk_ros.support.text_table import aligned
 
-    config = config_of(str(Path(robot) / "dynamic.yaml") if Path(robot).is_dir() else robot, changes)
+    file = str(Path(robot) / "dynamic.yaml") if Path(robot).is_dir() else robot
+    config = config_of(file, changes, params=params)
     model, types = load_model(config.robot), load_types(config.servo.table)
     if unknown := set(names) - set(types):
         raise ConfigError(f"--type {min(unknown)}: the types are {', '.join(types)}")

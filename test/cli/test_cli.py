@@ -575,6 +575,15 @@ def test_a_package_of_another_python_is_named_before_a_program_has_begun(tmp_pat
     assert done.stderr == f"{program}: {package} cannot be imported: undefined symbol: _PyX\n"
 
 
+@pytest.mark.parametrize("command", ["servos", "footsteps"])
+def test_a_robot_of_a_parameter_file_is_shown(command, tmp_path, capsys):
+    """As in all commands that take a robot; here the file is refused, which shows that it is read."""
+    own = tmp_path / "mine.yaml"
+    own.write_text("/**: {ros__parameters: {robot: {mass: -3.2}}}")
+    assert cli.main([command, "--params", str(own)]) == 2
+    assert "'robot.mass'" in capsys.readouterr().err
+
+
 # ---------------------------------------------------------------------- progress
 
 
@@ -624,6 +633,20 @@ def test_the_time_left_follows_from_the_mean_speed(capsys, monkeypatch):
             now[0] = 100.0 + at
             bar(0.0 if at < 20 else 0.25, "walking")
     assert "00:20<01:00" in capsys.readouterr().err
+
+
+def test_no_time_left_is_shown_before_it_can_be_known(capsys, monkeypatch):
+    """The first of many steps, after a compilation, would make it hours."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    now = [100.0]
+    monkeypatch.setattr("tqdm.std.time", lambda: now[0])
+    with Progress() as bar:
+        now[0] += 40.0
+        bar(0.0003, "walking")
+        assert re.search(r"00:40 walking", capsys.readouterr().err)
+        now[0] += 40.0
+        bar(0.5, "walking")
+    assert "01:20<01:20 walking" in capsys.readouterr().err
 
 
 def test_a_new_text_is_shown_also_without_progress(capsys, monkeypatch):
