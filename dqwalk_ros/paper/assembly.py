@@ -125,15 +125,14 @@ _call, _opened = QUANTITY.call, _MEMORY.opened
 
 @jit
 def _assemble(
-    q: Array, up: Array, elapsed: float, dt: float, velocity: Array, damping: float, table: NDArray[np.int64],
-    values: Array, J: Array, wanted: Array, numbers: Array, shape: Shape,
+    elapsed: float, dt: float, velocity: Array, damping: float, table: NDArray[np.int64], values: Array, J: Array,
+    wanted: Array, numbers: Array, shape: Shape,
 ) -> float:  # fmt: skip
     """Fill values, Jacobians J, `wanted` and the numbers of the `Problem`; return the norm of the first task's error.
 
-    The `table` is that of the `_Memory`.
+    The `table` is that of the `_Memory`, which has the joint angles and the vertical.
     """
     tree, links, bodies, watched, stack, form = _opened(table)
-    bodies.q[:], bodies.up[:] = q, up
     forward(bodies.q, tree, links, bodies.poses, bodies.lines, bodies.com, bodies.com_jacobian)
     observe(bodies, watched)
     _evaluate(bodies.q, watched.s, stack, elapsed, values)
@@ -286,6 +285,7 @@ class Assembly:
         bodies = Bodies._make(map(np.empty_like, kin.bodies))._replace(moves=kin.tree.moves)
         self._memory = _Memory(kin.tree.tree, kin.tree.links, bodies, watched, stack, form)
         self._table = _MEMORY.table(self._memory)
+        self._q, self._up = bodies.q, bodies.up
         self._first = tuple(watched.first(len(tasks[0].watches))), functions[0], parameters[parts[0]], tasks[0].live
 
     def __call__(
@@ -297,8 +297,9 @@ class Assembly:
         (n, l, m), r = self._shape, self.task_rows
         values, J, wanted = np.empty(r + l + m + 2 * n), np.empty((r + l + m, n)), np.empty(r)
         problem = Problem.empty(self._shape, self.rows.names)
+        self._q[:], self._up[:] = q, up  # copied here, as another kind of array would be compiled for
         error = _assemble(
-            q, up, elapsed, _ANY if dt is None else dt, self._unlimited if velocity is None else velocity, self.damping,
+            elapsed, _ANY if dt is None else dt, self._unlimited if velocity is None else velocity, self.damping,
             self._table, values, J, wanted, problem.numbers, problem.shape,
         )  # fmt: skip
         if not self._always:

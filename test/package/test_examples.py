@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from recorded import SHORT
 
 from dqwalk_ros.cli.runner import environment
 from dqwalk_ros.config import load
@@ -38,6 +39,8 @@ def test_examples_run_and_print_the_expected_output(name, tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [name])
     monkeypatch.setattr("dqwalk_ros.report.figures.FIGURES", {"figure8": (figure8, "")})  # drawing takes long
+    if name == "walk":  # as slow as the paper's it has 60 000 states
+        monkeypatch.setattr("dqwalk_ros.load", lambda source: load(source).updated(SHORT), raising=False)
     runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
     assert EXAMPLES[name] in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []
