@@ -247,9 +247,13 @@ def _walk(found: Adoption, given: dict[str, object], *, quiet: bool) -> int:
     for file in (file for file, (_, good, _) in walks.items() if good):
         print(shlex.join(["dqwalk", "simulate", "--config", str(found.folder / file), "--plant", "physics"]))
     if not stands and not steps:
+        apart = f"soles less than {1e3 * found.anatomy.apart:.0f} mm apart" if found.anatomy.lean else ""
+        less = (
+            f"; its trunk would lean less with ankles that roll, {apart}, or more mass above its hips" if apart else ""
+        )
         print(
             f"adopted, but does not walk, and no cure helped: the standing walk {ends}, the dynamic walk {slow}: "
-            "change what their causes name"
+            f"change what their causes name{less}"
         )
         return 1
     each = ", ".join(f"{name} {'stands in physics' if good else end}" for name, good, end in walks.values())

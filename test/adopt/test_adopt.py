@@ -429,12 +429,28 @@ def test_a_posture_that_holds_the_com_off_its_goal_in_kinematics_weighs_less(
         assert after.task.posture_weight / small.config.task.posture_weight == pytest.approx(factor, rel=0.03)
 
 
+def adopted(folder: str, **anatomy: object) -> SimpleNamespace:
+    return SimpleNamespace(folder=Path(folder), anatomy=SimpleNamespace(lean=None, **anatomy))
+
+
+def test_what_lets_a_trunk_lean_less_is_said_where_no_ankle_rolls(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Double supports that wait for the CoM name no cause."""
+    monkeypatch.setattr(trial, "first_walks", lambda *_: [])
+    monkeypatch.setattr(trial, "dynamic_walks", lambda *_: [(replace(LATE, plant="dynamic walk"), "")])
+    found = adopted("robot", apart=0.181)
+    found.anatomy.lean = object()
+    assert _walk(found, {}, quiet=True) == 1
+    assert "with ankles that roll, soles less than 181 mm apart, or more mass above" in capsys.readouterr().out
+
+
 def test_commands_to_be_copied_name_a_folder_with_blanks_as_a_shell_reads_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(trial, "first_walks", lambda *_: [(FINE, "")])
     monkeypatch.setattr(trial, "dynamic_walks", lambda *_: [(replace(FELL, plant="dynamic walk"), "")])
-    assert _walk(SimpleNamespace(folder=Path("my robot")), {}, quiet=True) == 0
+    assert _walk(adopted("my robot"), {}, quiet=True) == 0
     assert "\ndqwalk simulate --config 'my robot/robot.yaml' --plant physics\n" in capsys.readouterr().out
 
 
@@ -462,7 +478,7 @@ def test_a_robot_is_adopted_whose_standing_or_dynamic_walk_walks(
     monkeypatch.setattr(trial, "first_walks", lambda *_: [(standing, "")])
     monkeypatch.setattr(trial, "dynamic_walks", lambda *_: [(replace(dynamic, plant="dynamic walk"), "")])
     monkeypatch.setattr(trial, "climb", lambda *_: "climb: tried")
-    assert _walk(SimpleNamespace(folder=Path("robot")), {}, quiet=True) == code
+    assert _walk(adopted("robot"), {}, quiet=True) == code
     lines = capsys.readouterr().out.splitlines()
     assert re.match(last, lines[-1])
     assert lines[-1].endswith("is not OK") == (dynamic.stood and bool(dynamic.note) and not code)
