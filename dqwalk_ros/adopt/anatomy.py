@@ -132,7 +132,7 @@ def find_anatomy(
                 found = _anatomy(*find_pair(Skeleton(urdf, shapes), (left, right)), forward, bool(left))
             except ModelError:
                 continue
-            urdf.repairs.append(f"the root link '{root}' is in a leg: '{link}' is taken as the root")
+            urdf.repairs.append(f"no two legs are seen from the root link '{root}': '{link}' is taken as the root")
             return found
         if not error.unlike:
             raise
