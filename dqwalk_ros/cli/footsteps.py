@@ -46,9 +46,10 @@ def footsteps(config: str, support: str, params: tuple[Path, ...], changes: tupl
     from dqwalk_ros.robot.model import load_model
     from dqwalk_ros.support.text_table import aligned
     from dqwalk_ros.walks.standing.walk import StandingWalk
+    from dqwalk_ros.walks.table import style_of
 
     made, foot = config_of(config, changes, params=params), Foot(support)
-    if made.gait.style != "standing":
+    if style_of(made) != "standing":
         raise ConfigError(f"footsteps need a standing walk; gait.style of '{config}' is {made.gait.style}")
     model = load_model(made.robot)
     height = float(Kinematics(model, np.zeros(model.n), foot).point(made.robot.pelvis)[2])

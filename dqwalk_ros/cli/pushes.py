@@ -103,7 +103,7 @@ def pushes(
     from dqwalk_ros.studies import pushes as study
     from dqwalk_ros.studies.ceiling import PushCeiling
     from dqwalk_ros.walks.stepping import SteppingWalk
-    from dqwalk_ros.walks.table import walk_type
+    from dqwalk_ros.walks.table import style_of, walk_type
 
     if bottle:  # on the spot, unless the steps are given
         setup = replace(setup, changes=("gait.step_length=0", *setup.changes))
@@ -117,10 +117,8 @@ def pushes(
         if moment == "standing":
             raise ConfigError("--bottle hits a robot that walks: choose --moment left, right or all")
         directions = 2
-    if made.gait.style == "paper":
-        raise ConfigError(
-            f"pushes need a standing or a dynamic walk; gait.style of '{setup.config}' is {made.gait.style}"
-        )
+    if style_of(made) == "paper":
+        raise ConfigError(f"pushes need a standing or a dynamic walk; gait.style of '{setup.config}' is paper")
     moments = (study.MOMENTS[1:] if bottle else study.MOMENTS) if moment == "all" else (moment,)
     like = study.Push(moments[0], 0.0, 0.0, duration, part, bottle or 0.0, link or "")
     prepare_study(many, "limits.jsonl", "pushes.csv", "pushes.txt", "pushes.png")

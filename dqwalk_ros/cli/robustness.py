@@ -62,9 +62,10 @@ def robustness(
     from dqwalk_ros.cli.results import prepare_study, write_study
     from dqwalk_ros.report.figures.studies import robustness_figure
     from dqwalk_ros.studies import robustness as study
+    from dqwalk_ros.walks.table import style_of
 
     made = setup.made({"gait.steps": steps})
-    if made.gait.style == "paper" and not made.gait.walk:  # its number of steps is not --steps, and it falls at once
+    if style_of(made) == "paper":  # its number of steps is not --steps, and it falls at once
         raise ConfigError(f"robustness needs a standing or a dynamic walk; gait.style of '{setup.config}' is paper")
     axes = study.axes_of(made)
     for text in axis:

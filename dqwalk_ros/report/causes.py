@@ -42,7 +42,7 @@ def causes(series: Series) -> list[Finding]:
         return []
     config, model = series.trace.config, series.trace.model
     found: list[Finding] = []
-    if config.gait.style != "paper":
+    if series.style != "paper":
         found += servo_findings(config, model)
         found += _delay(series, tick)
     found += _pressure(series, tick)
@@ -115,7 +115,7 @@ def _measured_delay(series: Series, tick: int) -> float | None:
 
 def _pressure(series: Series, tick: int) -> Iterator[Finding]:
     """Yield the first time at which the path of the CoM requires a centre of pressure beyond the soles."""
-    if series.trace.config.gait.style == "paper":
+    if series.style == "paper":
         short = series.true_margin
         text, parameter = "the paper's walk moves the CoM beyond the real soles", "gait.style"
     else:

@@ -31,6 +31,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.compiled import jit
 from dqwalk_ros.support.errors import ModelError, PlantError
 from dqwalk_ros.trace import Trace
+from dqwalk_ros.walks.table import style_of
 
 # ---------------------------------------------------------------------- one state
 
@@ -197,6 +198,11 @@ class Series:
         """`true_margin` for the soles of the URDF, if the configuration has different ones; else None."""
         soles = urdf_soles(self.trace)
         return None if soles is None else self.polygon_margin(self.com_on_ground, soles)
+
+    @cached_property
+    def style(self) -> str:
+        """The ``gait.style`` of the walk, see `style_of`."""
+        return style_of(self.trace.config)
 
     @cached_property
     def ground(self) -> GroundTruth | None:

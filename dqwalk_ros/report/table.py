@@ -114,13 +114,13 @@ def ending(report: Mapping[str, Any]) -> str:
 
 def quasi_static(report: Mapping[str, Any]) -> bool:
     """Return whether the CoM is to be inside the soles; in a dynamic walk only the centre of pressure is."""
-    return bool(report["config"]["gait.style"] != "dynamic")
+    return bool(report["walk"]["style"] != "dynamic")
 
 
 def steps(report: Mapping[str, Any]) -> str:
     """Return the number of steps in words: the step that puts the feet together is counted apart."""
     count, config = report["walk"]["steps"], report["config"]
-    if report["walk"]["finished"] and config["gait.style"] != "paper" and 0 < config["gait.steps"] == count - 1:
+    if report["walk"]["finished"] and report["walk"]["style"] != "paper" and 0 < config["gait.steps"] == count - 1:
         return f"{count - 1} and 1 that puts the feet together"
     return str(count)
 

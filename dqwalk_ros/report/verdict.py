@@ -198,7 +198,7 @@ def _of_a_phase(series: Series, span: Span) -> Iterator[Violation]:
 def _of_an_ending(series: Series, span: Span, ending: Ending) -> Iterator[Violation]:
     """Yield the violations at the end of a phase: the rules of the paper's phases, and a landing beside the target."""
     config, name, last = series.trace.config, span.phase.name, min(span.end, len(series.time) - 1)
-    paper, lands = config.gait.style == "paper", span.phase.swing_target is not None
+    paper, lands = series.style == "paper", span.phase.swing_target is not None
     radius, threshold = config.ssp.com_radius, config.ssp.threshold if paper else config.standing.swing_threshold
     transfers = span.phase.kind is PhaseKind.DOUBLE_SUPPORT  # unlike a stance
     if paper and transfers and ending.com_to_axis > radius:
@@ -365,7 +365,7 @@ def _margins(series: Series, ticks: slice = slice(None)) -> dict[str, dict[str, 
     """Return the smallest value of each margin of the CoM and of the joints."""
     hulls = {"true": series.true_margin, "true_urdf_sole": series.urdf_margin}
     known = {name: values for name, values in hulls.items() if values is not None}
-    paper = {"paper": series.paper_margin} if series.trace.config.gait.style == "paper" else {}
+    paper = {"paper": series.paper_margin} if np.isfinite(series.paper_margin[ticks]).any() else {}
     out = {name: _least(series, values, ticks) for name, values in (paper | known).items()}
     for name, values in known.items():
         if (outside := np.flatnonzero(values[ticks] < 0.0)).size:
@@ -383,6 +383,7 @@ def _walk(series: Series, phases: list[dict[str, Any]]) -> dict[str, Any]:
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))  # of the base soles, unwrapped
     angles, delay = acting(trace)
     return {
+        "style": series.style,
         "finished": trace.finished,
         "cut": trace.cut,
         "duration": float(series.time[-1] - series.time[0]),

@@ -33,7 +33,7 @@ from dqwalk_ros.studies.plan import digest
 from dqwalk_ros.studies.runner import Store, run
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import DqwalkError, PlantError
-from dqwalk_ros.walks.table import make_controller, make_walk
+from dqwalk_ros.walks.table import make_controller, make_walk, style_of
 
 MOMENTS = ("standing", "left", "right")
 """In a stance on both feet, or in the middle of a step on the left or on the right foot."""
@@ -136,7 +136,7 @@ def pushed(config: Config, push: Push) -> str:
         If the walk ends, or the robot falls, before the push.
     """
     standing = push.moment == "standing"
-    pushed_at = 2 if config.gait.style == "standing" else 6  # a dynamic walk needs some steps to full length
+    pushed_at = 2 if style_of(config) == "standing" else 6  # a dynamic walk needs some steps to full length
     values: dict[str, object] = {"gait.steps": 0 if standing else 2 * pushed_at - 2}
     if not standing:  # so that the pushed step, an even one, is on the requested foot
         values["gait.first_support"] = Foot(push.moment).other.value
@@ -165,7 +165,7 @@ def pushed(config: Config, push: Push) -> str:
 
 def _transfer(config: Config) -> float:
     """Return the time after which a robot in a stance is at rest [s]."""
-    return config.standing.transfer_duration if config.gait.style == "standing" else config.dynamic.stop_duration
+    return config.standing.transfer_duration if style_of(config) == "standing" else config.dynamic.stop_duration
 
 
 def _due(controller: VelocityController, time: float, number: int, part: float) -> bool:

@@ -33,6 +33,7 @@ from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import ConfigError
 from dqwalk_ros.walks.dynamic.swing import Swing, advanced
 from dqwalk_ros.walks.footsteps import Footsteps
+from dqwalk_ros.walks.table import style_of
 
 _SAMPLES = 41
 """Number of times in a step."""
@@ -84,8 +85,8 @@ class Gait:
         ConfigError
             If the walk is another one, whose steps do not have fixed durations.
         """
-        if config.gait.style != "dynamic":
-            raise ConfigError(f"servos are chosen for a dynamic walk; gait.style is {config.gait.style}")
+        if (style := style_of(config)) != "dynamic":
+            raise ConfigError(f"servos are chosen for a dynamic walk; gait.style is {style or 'that of no other'}")
         s, gait = config.standing, config.gait
         return cls(s.swing_duration, s.transfer_duration, gait.step_length, gait.step_height)
 

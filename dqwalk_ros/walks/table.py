@@ -39,6 +39,18 @@ def walk_type(config: Config) -> type[Walk]:
         raise ConfigError(f"gait.walk is '{own}'; {error}") from error
 
 
+def style_of(config: Config) -> str:
+    """Return the ``gait.style`` of the walk that `config` describes: of an own one that of the class it extends, or "".
+
+    Raises
+    ------
+    ConfigError
+        As `walk_type`.
+    """
+    kind = walk_type(config)
+    return next((style for style, walk in WALKS.items() if issubclass(kind, walk)), "")
+
+
 def refuse_endless(config: Config) -> None:
     """Check a walk that is simulated until its end.
 

@@ -192,8 +192,8 @@ def test_report_values_of_the_walk(trace, series, report):
 
 def test_the_step_that_puts_the_feet_together_is_counted_apart(report):
     assert dict(numbers(report))["steps"].startswith("2, ")
-    config = report["config"] | {"gait.style": "standing", "gait.steps": 1}
-    assert dict(numbers(report | {"config": config}))["steps"].startswith("1 and 1 that puts the feet together, ")
+    stood = {"config": report["config"] | {"gait.steps": 1}, "walk": report["walk"] | {"style": "standing"}}
+    assert dict(numbers(report | stood))["steps"].startswith("1 and 1 that puts the feet together, ")
 
 
 def test_walked_distance_matches_independent_computation(trace, report):
@@ -476,3 +476,18 @@ def test_report_and_figures_of_a_single_support_phase_only(trace):
     assert names(report) == {"finished"}
     assert "single_support/left (stopped)" in reporting.render(report)
     assert all(figure.get_axes() for _, figure, _ in drawn(series))
+
+
+def test_a_walk_that_is_given_by_its_class_is_judged_as_what_it_extends():
+    """It has no `gait.style` of its own; by the default the report looked for the planes of the paper, and crashed."""
+    own = "dqwalk_ros.walks.standing.walk:StandingWalk"
+    config = load("poppy").updated({"gait.style": "paper", "gait.walk": own, "gait.steps": 1})
+    model = load_model(config.robot)
+    walked = simulate(make_controller(config, model), KinematicPlant(model, model.posture(config.standing.posture)))
+    series = reporting.analyse(walked)
+    report = reporting.report(series)
+    assert report["ok"], report["violations"]
+    assert report["walk"]["style"] == "standing"
+    assert "paper" not in report["walk"]["margin"]
+    assert "1 and 1 that puts the feet together" in reporting.render(report)
+    assert {one.name for one in drawn(series)} == {"top_view", "figure9"}

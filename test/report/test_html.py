@@ -179,7 +179,7 @@ def test_a_dynamic_walk_shows_pressure_and_tilt_instead_of_the_margin_of_the_com
     found = report.report(series)
     assert "true margin" in dict(numbers(found))
     physics = {"cop_margin": -7e-4, "tilt": {"value": np.radians(0.05)}}
-    found |= {"config": found["config"] | {"gait.style": "dynamic"}, "physics": physics}
+    found |= {"walk": found["walk"] | {"style": "dynamic"}, "physics": physics}
     del found["walk"]["margin"]["paper"]
     text = _heading(Subject("walk", series, found, [], []))
     assert "margin of the CoM" not in text

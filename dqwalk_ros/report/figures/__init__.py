@@ -29,7 +29,7 @@ FIGURES = {
 
 def drawn(series: Series) -> Iterator[Drawn]:
     """Draw every figure that applies to a walk."""
-    paper = series.trace.config.gait.style == "paper"
+    paper = series.style == "paper"
     applies = {"figure7": paper, "figure8": paper, "on_the_ground": series.ground is not None}
     for name, (draw, caption) in FIGURES.items():
         if applies.get(name, True):

@@ -101,7 +101,7 @@ def top_view(series: Series) -> Figure:
     _draw_footsteps(ground, series, own, apart=_APART * max(reach / width, broad / height))
     _draw_margins(margins, series)
     handles = [*_soles_legend(), Patch(facecolor=_HULL, edgecolor=_HULL_EDGE, label="double-support polygon")]
-    if series.trace.config.gait.style == "paper":
+    if series.style == "paper":
         handles.append(Line2D([], [], color=RED, linestyle=DASHED, linewidth=1.2, label="cylinder (U14)"))
     handles.append(Line2D([], [], color=INK, linewidth=2.0, label="CoM"))
     handles.append(Line2D([], [], color=GREY, linestyle=":", linewidth=1.2, label="start, swing"))
@@ -171,7 +171,7 @@ def _draw_steps(ax: Axes, series: Series, spans: Sequence[Span], base: Foot, own
     if own is not None:
         of_urdf = [_corners(stance, own[base]) for stance in stances]
         _draw_polygons(ax, of_urdf, ORANGE, linewidth=1.0, alpha=0.6, zorder=3)
-    if series.trace.config.gait.style == "paper":
+    if series.style == "paper":
         centers = [DQ(stance).transform_point(soles[base].center) for stance in stances]
         _draw_rings(ax, centers, series.trace.config.ssp.com_radius, zorder=4)
     way = DQ(joined(series.soles[swing], [span.ticks for span in spans])).transform_point(soles[swing].center)
@@ -181,7 +181,7 @@ def _draw_steps(ax: Axes, series: Series, spans: Sequence[Span], base: Foot, own
 def _draw_margins(ax: Axes, series: Series) -> None:
     mark_phases(ax, series)
     curves = []
-    if series.trace.config.gait.style == "paper":
+    if series.style == "paper":
         curves.append((series.paper_margin, INK, "support region of the paper: planes, cylinder"))
     curves.append((series.true_margin, GREEN, "convex hull of the soles as configured"))
     if series.urdf_margin is not None:
