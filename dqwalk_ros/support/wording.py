@@ -33,7 +33,7 @@ def printable(text: str) -> str:
 
 def shown(name: str) -> str:
     """Return a name that came from outside, as `listed` does."""
-    return ascii(name)[1:-1][:60]
+    return printable(name)[:60]
 
 
 def missing(what: str, path: Path) -> str:
