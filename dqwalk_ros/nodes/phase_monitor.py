@@ -24,6 +24,7 @@ from dqwalk_ros.nodes.markers import markers
 from dqwalk_ros.nodes.phase_log import PhaseLog
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import names_phase
 from dqwalk_ros.report.metrics import support_polygon
 from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import load_model
@@ -152,7 +153,7 @@ class PhaseMonitor(WalkNode):
             return
         kin = Kinematics.measured(assess.model, state.q, assess.phase.base, self._phases.up(stamp))
         found = assess(kin, 1e-9 * (stamp - began), self.config.monitor)
-        over = "/" not in self._phases.label and not self._waiting
+        over = not names_phase(self._phases.label) and not self._waiting
         message = f"{self._label}; {found.message}" if over else found.message
         self._publish_status(stamp, found.level, message, {"phase": assess.phase.name, **found.values})
         self._draw(stamp, assess, kin)

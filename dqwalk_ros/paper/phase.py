@@ -161,6 +161,11 @@ class Phase:
         return self.evaluate(q, elapsed=0.0).distances()
 
 
+def names_phase(text: str) -> bool:
+    """Return whether a text of the topic `phase` is a `Phase.name`: no mode, and no decision, which is a sentence."""
+    return "/" in text and " " not in text
+
+
 _STALLED_WINDOWS = 10
 """A phase has stalled when the error decreases too slowly to reach its goal in time for this many windows in a row."""
 

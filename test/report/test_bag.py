@@ -72,6 +72,17 @@ def test_rewriting_a_bag_preserves_the_walk(trace, path, tmp_path):
     np.testing.assert_array_equal(bag.read(tmp_path / "walk").time, again.time)
 
 
+def test_a_decision_may_contain_a_slash(trace, tmp_path):
+    """That of one's own walk; it was taken for the name of a phase."""
+    first, *others = trace.phases
+    decided = dataclasses.replace(trace, phases=(dataclasses.replace(first, decision="1/2 of it has arrived"), *others))
+    bag.write(decided, tmp_path / "walk", diagnostics=False)
+    back = bag.read(tmp_path / "walk")
+    assert_same(trace, back)
+    assert back.notes == ()
+    assert [phase.decision for phase in back.phases] == [phase.decision for phase in decided.phases]
+
+
 def test_numbers_of_all_magnitudes_are_preserved(trace, tmp_path):
     rng = np.random.default_rng(1)
     u = rng.normal(size=trace.u.shape) * 10.0 ** rng.integers(-300, 300, trace.u.shape)

@@ -14,7 +14,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
-from dqwalk_ros.paper.phase import PhaseKind
+from dqwalk_ros.paper.phase import PhaseKind, names_phase
 from dqwalk_ros.paper.walk import kind_with_target
 from dqwalk_ros.report.bag.messages import NS, Stamps, aligned, joint_states, pose_of, tables, texts
 from dqwalk_ros.report.bag.recording import Recording
@@ -47,9 +47,9 @@ def starts(bag: Recording) -> dict[int, PhaseRecord]:
         If there is no phase, or the phases contradict each other or are those of another robot.
     """
     said = list(zip(bag.columns["phase"].times, texts(bag.columns["phase"]), strict=True))
-    labels = [(time, _parsed(text)) for time, text in said if "/" in text]
+    labels = [(time, _parsed(text)) for time, text in said if names_phase(text)]
     known = _begun(bag, labels)
-    if strange := next((text for _, text in said if "/" in text and _parsed(text) is None), ""):
+    if strange := next((text for _, text in said if names_phase(text) and _parsed(text) is None), ""):
         bag.notes.append(f"unknown phase '{shown(strange)}': phases are identified by their base sole and swing target")
     swings, places = _targets(bag.columns.get("swing_target")), _targets(bag.columns.get("com_target"))
     decisions: dict[int, str] = {}
@@ -141,7 +141,7 @@ def _decisions(said: Sequence[str]) -> list[str]:
     """Return the last decision in each phase, the sentence after its name; empty if there is none."""
     found: list[str] = []
     for words in said:
-        if "/" in words:
+        if names_phase(words):
             found.append("")
         elif found and " " in words:
             found[-1] = words

@@ -10,6 +10,7 @@ import numpy as np
 from dqwalk_ros.config import to_yaml
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.paper.phase import names_phase
 from dqwalk_ros.paper.walk import com_target
 from dqwalk_ros.report.bag import messages, phases
 from dqwalk_ros.report.bag.messages import (
@@ -206,7 +207,7 @@ def read(source: Source, *, namespace: str | None = None, walk: str = "") -> Tra
     warned = bag.columns.get("plant_warning")
     if warned is not None and (asked := next(filter(None, texts(warned)), "")):
         notes.append(f"the plant has asked for the end of the walk: {one_line(asked)}")
-    if len(answered) and "/" in last and phases.is_last(bag, begun, int(stamps[answered[-1]]), q[answered[-1]]):
+    if len(answered) and names_phase(last) and phases.is_last(bag, begun, int(stamps[answered[-1]]), q[answered[-1]]):
         finished = True
         notes.append(f"the message '{FINISHED}' is missing: the last phase is over, and no other has begun")
     if finished and len(answered):  # states after the end of the walk are omitted
