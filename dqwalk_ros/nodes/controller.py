@@ -180,7 +180,7 @@ class Controller(AnsweringNode):
             return
         before = self._mode
         self._look_for_motion_while_not_ready(state)
-        ready = self._plant.ready and not (self._duplicates or self._slow)
+        ready = self._is_executed
         self._look_for_contradictions(state, ready)
         if self._mode is Mode.WALKING and ready and not self._falls.suspected:
             answer: Fields | None = self._step(state, stamp)
@@ -239,6 +239,11 @@ class Controller(AnsweringNode):
             if topic.get_subscription_count():
                 force = np.array([0.0, 0.0, load, 0.0, 0.0, 0.0])
                 topic.publish(ros.wrench(stamp, self._model.soles[foot].frame, force))
+
+    @property
+    def _is_executed(self) -> bool:
+        """Whether the plant executes commands, and gets them."""
+        return self._plant.ready and not (self._duplicates or self._slow)
 
     @property
     def _is_walking(self) -> bool:
@@ -383,8 +388,8 @@ class Controller(AnsweringNode):
     def _reset(self) -> tuple[bool, str]:
         if self._falls.lying:
             return False, f"{self._falls.lying}; put it on its feet first"
-        would_fall = self._mode is Mode.WALKING and self._has_begun and not self._controller.may_hold
-        if would_fall and not (self.lockstep or self._stale):
+        moves = self._mode is Mode.WALKING and self._has_begun and self._is_executed and not self._stale
+        if moves and not (self.lockstep or self._controller.may_hold):
             return False, "it would fall in mid-step; call ~/pause first, then it stands"
         self._end_footsteps()
         self._controller.reset()

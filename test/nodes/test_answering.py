@@ -339,3 +339,17 @@ def test_joints_of_others_are_no_state(make: Any) -> None:
     walk.one.send("joint_states", JointState(name=["gripper"], position=[0.1]))
     assert not walk.sent
     assert values(walk.status)["states rejected"] == "0"
+
+
+def test_a_walk_that_waits_in_mid_step_can_be_reset(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the torque off no reset makes it fall, and no pause puts its feet together."""
+    walk = Answered(make)
+    monkeypatch.setattr(type(walk.node._controller), "may_hold", property(lambda _: False))
+    assert any(walk.tick())
+    answer = walk.one.call("~/reset", Trigger.Request())
+    assert (answer.success, answer.message) == (False, "it would fall in mid-step; call ~/pause first, then it stands")
+    walk.one.send("plant_ready", Bool(data=False))
+    assert not any(walk.tick())
+    assert walk.one.call("~/pause", Trigger.Request()).message.startswith("pausing")
+    assert walk.one.call("~/reset", Trigger.Request()).success
+    assert walk.got["phase"][-1].data == "idle"
