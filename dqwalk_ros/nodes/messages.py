@@ -22,6 +22,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
 from dqwalk_ros.nodes.joint_order import JointOrder
+from dqwalk_ros.nodes.publishers import UNKNOWN
 from dqwalk_ros.paper.dual_quaternions import DQ
 from dqwalk_ros.paper.state import Command, State
 from dqwalk_ros.plants.base import Inertial, upward
@@ -78,7 +79,14 @@ def of_another_type(node: Node, topic: str, kind: Any) -> str:
 def publishers_of(node: Node, topic: str) -> tuple[str, ...]:
     """Return the names of the nodes that publish a topic, one entry per publisher."""
     ends = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    return tuple(sorted(f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends))
+    return tuple(sorted(map(node_of, ends)))
+
+
+def node_of(end: Any) -> str:
+    """Return the full name of the node of a publisher or a subscriber, as rclpy describes it, or `UNKNOWN`."""
+    if end.node_name == "_NODE_NAME_UNKNOWN_":
+        return UNKNOWN
+    return f"{end.node_namespace.rstrip('/')}/{end.node_name}"
 
 
 def executing(node: Node, topic: str) -> tuple[str, ...]:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from dqwalk_ros.nodes.watchdog import Clock, Watchdog
 
-UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Name of a publisher's or subscriber's node, as rclpy reports it, until the node has been discovered."""
+UNKNOWN = "a node that is being discovered"
+"""Name of a publisher's or subscriber's node until the node has been discovered."""
 
 
 class DuplicatePublishers:
@@ -26,7 +26,7 @@ class DuplicatePublishers:
 
     def judge(self, names: Sequence[str]) -> str:
         """Return the names of duplicate publishers, or ``""``; `names` has one entry per publisher."""
-        unknown = any(name.endswith(UNKNOWN) for name in names)  # discovered, its node not yet
+        unknown = UNKNOWN in names
         if len(set(names)) > 1 or (len(names) > 1 and unknown):
             return ", ".join(sorted(set(names)))
         if len(names) < 2:

@@ -101,7 +101,7 @@ class RobotControllers:
         self._listening = {end.node_name for end in ends}
         if not self._expected:
             return
-        names = {(f"{end.node_namespace.rstrip('/')}/{end.node_name}", bytes(end.endpoint_gid)) for end in ends}
+        names = {(ros.node_of(end), bytes(end.endpoint_gid)) for end in ends}
         for gone in self._found.keys() - names:
             one = self._found.pop(gone)
             one.forget(self._node)
@@ -128,7 +128,7 @@ class RobotControllers:
                 self._states = {value.key.removesuffix(".state"): value.value for value in found}
 
     def _ask(self, one: _Controller) -> None:
-        if one.name.endswith(UNKNOWN):  # its node has not been discovered yet
+        if one.name == UNKNOWN:
             return
         one.client = one.client or self._node.create_client(GetParameters, f"{one.name}/get_parameters")
         if not one.client.service_is_ready():

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 from stepped_time import SteppedTime
 
-from dqwalk_ros.nodes.publishers import DuplicatePublishers, DuplicateStates, FirstPublisher
+from dqwalk_ros.nodes import messages as ros
+from dqwalk_ros.nodes.publishers import UNKNOWN, DuplicatePublishers, DuplicateStates, FirstPublisher
 
 DT = 0.005
 MS = 1_000_000
@@ -15,9 +18,8 @@ def test_two_publishers_are_reported_at_once_unless_one_may_be_stale(clock: Step
     judge = DuplicatePublishers(clock).judge
     assert judge([]) == judge(["/a"]) == ""
     assert judge(["/b", "/a"]) == "/a, /b"
-    unknown = "_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_"  # as rclpy names a node that is not discovered yet
-    assert judge([unknown]) == ""
-    assert judge([unknown, unknown]) == unknown
+    assert judge([UNKNOWN]) == ""
+    assert judge([UNKNOWN, UNKNOWN]) == UNKNOWN
     assert judge(["/a", "/a"]) == ""
     clock.now += 24.9
     assert judge(["/a", "/a"]) == ""
@@ -25,6 +27,13 @@ def test_two_publishers_are_reported_at_once_unless_one_may_be_stale(clock: Step
     assert judge(["/a", "/a"]) == "/a, 2 times"
     assert judge(["/a"]) == ""
     assert judge(["/a", "/a"]) == ""  # the time starts again
+
+
+def test_a_node_that_is_not_discovered_yet_has_a_name_that_can_be_read() -> None:
+    """In "two controllers: ..." rclpy's own name reads as an error of this package."""
+    ends = [("/", "a"), ("/robot", "b"), ("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_")]
+    names = [ros.node_of(SimpleNamespace(node_namespace=where, node_name=name)) for where, name in ends]
+    assert names == ["/a", "/robot/b", "a node that is being discovered"]
 
 
 def test_a_message_of_another_publisher_is_told_by_its_number(clock: SteppedTime) -> None:

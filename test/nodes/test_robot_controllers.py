@@ -14,8 +14,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from dqwalk_ros.nodes.publishers import UNKNOWN
-
 
 def test_no_output_before_the_topic_has_a_subscriber(make: Any) -> None:
     """The walk waits until the output topic has a subscriber."""
@@ -85,7 +83,7 @@ def test_a_controller_that_would_misunderstand_its_commands_gets_none(make: Any,
         executor.shutdown()
 
 
-@pytest.mark.parametrize(("name", "trusted"), [("robot", True), (UNKNOWN, False)])
+@pytest.mark.parametrize(("name", "trusted"), [("robot", True), ("_NODE_NAME_UNKNOWN_", False)])
 def test_only_a_known_controller_without_parameters_is_trusted(
     make: Any, monkeypatch: pytest.MonkeyPatch, name: str, trusted: bool
 ) -> None:
