@@ -513,6 +513,7 @@ def test_joints_of_another_robot_are_an_error(path, tmp_path):
     [
         ("/robot_description", "l_sole", "left_sole_link", r"another robot.*l_sole"),
         ("/walk_config", "com_radius", "com_diameter", "com_diameter"),
+        ("/walk_config", "lock:\n      - ''", "lock:\n      - l_knee_y=bent", "robot.lock has 'l_knee_y=bent'"),
     ],
 )
 def test_a_description_or_configuration_of_another_robot_is_an_error(path, tmp_path, latched, own, other, expected):

@@ -161,7 +161,7 @@ def _model_in(path: Path, config: Config, columns: Mapping[str, Column], notes: 
         return load_model(config.robot)
     try:
         return parse_model(texts(columns["robot_description"])[-1], config.robot)
-    except ModelError as error:
+    except (ConfigError, ModelError) as error:
         raise BagError(f"'{path}' is of another robot than its walk_config: {error}") from error
 
 
