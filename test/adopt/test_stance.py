@@ -104,7 +104,7 @@ def test_what_keeps_a_robot_from_a_standing_walk_only_is_said(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("limit", "part"), [(0.36, 0.87), (0.4, 1.0)])
+@pytest.mark.parametrize(("limit", "part"), [(0.36, 0.87), (0.45, 1.0)])
 def test_the_com_reaches_the_middle_of_a_sole_where_a_distance_of_the_soles_allows_it(
     limit: float, part: float, tmp_path: Path
 ) -> None:
