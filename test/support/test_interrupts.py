@@ -17,6 +17,7 @@ from robots import legs
 from dqwalk_ros.adopt import trial
 from dqwalk_ros.config import load
 from dqwalk_ros.plants.kinematic import KinematicPlant
+from dqwalk_ros.report.bag import walk
 from dqwalk_ros.simulation import closed_loop, simulate
 from dqwalk_ros.support.interrupts import postponed_interrupts
 from dqwalk_ros.walks.table import make_controller
@@ -51,6 +52,21 @@ def test_the_step_is_completed_and_recorded(number):
 def test_a_second_interrupt_acts_at_once():
     with pytest.raises(KeyboardInterrupt):
         interrupted_walk(signal.SIGINT, signal.SIGINT)
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_an_interrupt_while_the_bag_is_written_loses_no_walk(tmp_path, monkeypatch, interrupted):
+    """It takes seconds; only who has already interrupted the walk does not want to wait for it."""
+    trace, columns = interrupted_walk(*[signal.SIGINT] * interrupted), walk._columns
+
+    def interrupting(*args):
+        signal.raise_signal(signal.SIGINT)
+        return columns(*args)
+
+    monkeypatch.setattr(walk, "_columns", interrupting)
+    with pytest.raises(KeyboardInterrupt):
+        walk.write(trace, tmp_path / "bag")
+    assert (tmp_path / "bag" / "bag.mcap").exists() == (not interrupted)
 
 
 def test_an_ignored_interrupt_remains_ignored():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator
 
@@ -40,6 +41,7 @@ from dqwalk_ros.report.verdict import Assessor
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import BagError
+from dqwalk_ros.support.interrupts import postponed_interrupts
 from dqwalk_ros.support.topics import FAILED, FALLEN, FINISHED, ODOM, REQUIRED, TOPICS, WORLD
 from dqwalk_ros.support.wording import one_line
 from dqwalk_ros.trace import PhaseRecord, PhysicsRecord, Trace, known_loads
@@ -55,6 +57,8 @@ _UNIT = 0.01
 
 def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = True, overwrite: bool = False) -> None:
     """Write a walk to the folder `path`, which is created when the bag is complete.
+
+    Ctrl-C meanwhile acts afterwards, unless the walk was interrupted, too; a second one acts at once.
 
     Parameters
     ----------
@@ -76,7 +80,8 @@ def write(trace: Trace, path: str | os.PathLike[str], *, diagnostics: bool = Tru
     topics = {name: topic for name, topic in TOPICS.items() if known.get(topic.source, True)}
     if not diagnostics:
         del topics["diagnostics"]
-    write_columns(path, topics, _columns(trace, diagnostics), overwrite=overwrite)
+    with contextlib.nullcontext() if trace.interrupted else postponed_interrupts():
+        write_columns(path, topics, _columns(trace, diagnostics), overwrite=overwrite)
 
 
 def _columns(trace: Trace, diagnostics: bool) -> list[Messages]:
