@@ -389,6 +389,13 @@ def test_a_robot_that_waits_in_its_first_steps_does_not_walk_on(
     assert steps == [10, 10, 10, 10, 10]
 
 
+def test_a_robot_whose_feet_do_not_reach_their_places_is_not_tried_in_the_standing_walk(
+    small: Adoption, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trial, "walk", lambda *_: FELL)
+    assert not list(first_walks(replace(small, numbers=replace(small.numbers, reach=0.0)), {}))
+
+
 def test_heavy_legs_are_named_where_a_dynamic_walk_lands_beside_its_targets(
     small: Adoption, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
