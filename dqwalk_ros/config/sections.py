@@ -316,7 +316,14 @@ class ServoConfig:
     rate: float = parameter(0.0, "rate at which positions are written; 0: every period", "Hz", 0.0, 1e4)
     latency: float = parameter(0.0, "delay from writing a position to its effect in the simulation", "s", 0.0, 0.5)
     window: float = parameter(
-        0.15, "goal window: tolerated distance of goal and predicted angle; smaller: softer", "rad", 1e-3, 3.0
+        0.15,
+        "goal window: tolerated distance of goal and predicted angle, at P = 254; smaller: softer",
+        "rad",
+        1e-3,
+        3.0,
+    )
+    window_lag: float = parameter(
+        0.0, "lag of the joints, by which the goal window extends in the direction of motion", "s", 0.0, 0.1
     )
     window_time: float = parameter(
         0.0, "time constant with which a goal beyond the window returns; 0: at once", "s", 0.0, 1.0

@@ -8,7 +8,8 @@ Physics, the node `drive` (ros2_control) and the driver of Poppy execute it.
 3. The goal integrates the velocity and is limited to a window around the predicted angle of the joint, the measured one
    plus the motion commanded within the delay. This is an integral action with anti-windup, which compensates the
    deflection of a servo under load. With a small window a leg complies with a force that is not fed forward, such as
-   that of a stone under its sole. A goal beyond the window returns to it at once, or with a time constant.
+   that of a stone under its sole. The window extends in the direction of motion by the lag of the joints. A goal beyond
+   it returns at once, or with a time constant.
 4. Feedforward torques are converted to an offset of the goal by the assumed stiffness of the servos. Where they are
    known, the goal is also ahead by the lag of a damped servo. The sum stays within the range of the joint and moves no
    faster than the joint can.
@@ -31,7 +32,7 @@ from dqwalk_ros.config import Config
 from dqwalk_ros.estimation.delay import CommandHistory
 from dqwalk_ros.robot.limits import FASTEST, JointLimits, unreachable
 from dqwalk_ros.robot.model import RobotModel
-from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.robot.servos import Drive, Servos, goal_windows
 from dqwalk_ros.support.arrays import Array, Mask
 from dqwalk_ros.support.compiled import jit
 
@@ -169,9 +170,11 @@ class ServoGoals:
         Assumed model of the servos.
     limits : RobotModel or JointLimits
         Of these joints.
-    window : float
+    window : float or ndarray, shape (n,)
         Distance from the predicted angle of the joint beyond which the goal, without the offset by torques, returns
         [rad].
+    window_lag : float
+        Lag of the joints: a goal that moves may be farther ahead of its joint by the motion within this time [s].
     window_time : float
         Time constant of this return; 0: the goal is never beyond the window [s].
     resolution : float or ndarray, shape (n,)
@@ -188,7 +191,8 @@ class ServoGoals:
         Commanded positions without the offsets by feedforward torques [rad].
     goal : ndarray, shape (n,)
         Commanded positions with them [rad].
-    window : float
+    window : ndarray, shape (n,)
+        As above.
     runaway : ndarray of bool, shape (n,)
         Joints that have moved against the full torque of their servos.
     """
@@ -198,16 +202,17 @@ class ServoGoals:
         gate: AngleGate,
         drive: Drive,
         limits: RobotModel | JointLimits,
-        window: float,
+        window: Array | float,
         *,
+        window_lag: float = 0.0,
         window_time: float = 0.0,
         resolution: Array | float = 0.0,
         rate: float = 0.0,
         latency: float = 0.0,
     ) -> None:
         n = len(limits.joint_names)
-        self.gate, self.window, self._drive, self._limits = gate, window, drive, limits
-        self._window_time = window_time
+        self.gate, self._drive, self._limits = gate, drive, limits
+        self.window, self._window_lag, self._window_time = np.full(n, window), window_lag, window_time
         self._fastest = np.minimum(limits.velocity_max, FASTEST)
         self._range = np.ascontiguousarray(limits.q_min), np.ascontiguousarray(limits.q_max)  # else compiled again
         self._step = np.maximum(np.broadcast_to(resolution, (n,)), 1e-12)
@@ -221,7 +226,10 @@ class ServoGoals:
         zero = np.zeros(n)  # compiled here, so that the first command is not late
         self._offset_of(zero)
         _find_runaways(zero, zero, self._most, self._side, self._nearest, self.runaway)
-        _goals(zero, zero, 1.0, zero, zero, window, 0.0, *self._range, zero, zero, zero, self._fastest, self._step)
+        _goals(
+            zero, zero, 1.0, zero, zero, self.window, 0.0, 0.0, *self._range,
+            zero, zero, zero, self._fastest, self._step,
+        )  # fmt: skip
         self._begin(gate.q.copy(), zero)
 
     @classmethod
@@ -245,12 +253,12 @@ class ServoGoals:
         c, speed = config.servo, np.minimum(model.velocity_max, FASTEST)
         period = max(config.dt, 1.0 / config.sensors.rate if simulated is not None and config.sensors.rate else 0.0)
         gate = AngleGate(model.joint_names, speed, period * speed, longest=timeout, timeout=timeout)
-        drive = Drive.of(config, model)
+        drive, window = Drive.of(config, model), goal_windows(config, model)
         if simulated is None:
-            return cls(gate, drive, model, c.window, window_time=c.window_time)
+            return cls(gate, drive, model, window, window_lag=c.window_lag, window_time=c.window_time)
         return cls(
-            gate, drive, model, c.window,
-            window_time=c.window_time, resolution=simulated.resolution, rate=c.rate, latency=c.latency,
+            gate, drive, model, window, window_lag=c.window_lag, window_time=c.window_time,
+            resolution=simulated.resolution, rate=c.rate, latency=c.latency,
         )  # fmt: skip
 
     def begin(self, effort: Array | None = None, held: Array | None = None) -> None:
@@ -327,7 +335,7 @@ class ServoGoals:
         pending = self._history.pending(self.gate.oldest)
         beyond = math.exp(-dt / self._window_time) if self._window_time else 0.0
         u, self.wanted, self.goal, rounded = _goals(
-            self.wanted, velocity, dt, self.gate.q, pending, self.window, beyond, *self._range,
+            self.wanted, velocity, dt, self.gate.q, pending, self.window, self._window_lag, beyond, *self._range,
             self._offset, self._lead, self.goal, self._fastest, self._step,
         )  # fmt: skip
         self._history.add(time, u, dt)
@@ -412,14 +420,15 @@ def _find_runaways(q: Array, goal: Array, most: Array, side: Array, nearest: Arr
 
 @jit
 def _goals(
-    wanted: Array, velocity: Array, dt: float, q: Array, pending: Array, window: float, beyond: float, lower: Array,
-    upper: Array, offset: Array, lead: Array, goal: Array, fastest: Array, step: Array,
+    wanted: Array, velocity: Array, dt: float, q: Array, pending: Array, window: Array, lag: float, beyond: float,
+    lower: Array, upper: Array, offset: Array, lead: Array, goal: Array, fastest: Array, step: Array,
 ) -> Array:  # fmt: skip
     """Return velocities within their limits [rad/s], and after one period the commanded positions [rad], (4, n).
 
     These are without and with the offsets and the lead [s], and the latter rounded. The joints are predicted at
-    q + `pending` when the command acts. Of what a position is beyond the window around them, the fraction `beyond`
-    remains. A joint outside its range may only move towards it.
+    q + `pending` when the command acts. Of what a position is beyond the `window` (n,) [rad] around them, which extends
+    in the direction of motion by the motion within `lag` [s], the fraction `beyond` remains. A joint outside its range
+    may only move towards it.
     """
     out = np.empty((4, wanted.shape[0]))
     u, moved, shifted, rounded = out
@@ -428,7 +437,9 @@ def _goals(
         slowest, quickest = max((low - wanted[i]) / dt, -fastest[i]), min((high - wanted[i]) / dt, fastest[i])
         u[i], expected = min(max(velocity[i], slowest), quickest), q[i] + pending[i]
         asked = wanted[i] + dt * u[i]
-        near = min(max(asked, expected - window), expected + window)
+        ahead = lag * u[i]
+        first, last = expected + min(ahead, 0.0) - window[i], expected + max(ahead, 0.0) + window[i]
+        near = min(max(asked, first), last)
         moved[i] = min(max(near + beyond * (asked - near), low), high)
         least, most = goal[i] - dt * fastest[i], goal[i] + dt * fastest[i]
         shifted[i] = min(max(min(max(moved[i] + offset[i] + lead[i] * u[i], low), high), least), most)

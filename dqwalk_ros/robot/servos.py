@@ -31,6 +31,10 @@ _LATE = 0.045
 the joint; without any, the dynamic walk falls with delays of 15 to 26 ms."""
 
 
+P_MOST = 254
+"""Largest value of a P register."""
+
+
 @dataclass(frozen=True)
 class ServoType:
     """One row of config/servos.yaml, which explains each column and its unit.
@@ -178,6 +182,24 @@ class Servos:
         """Return the torques on the joints [N m] of signed loads, the inverse of `load`; shape (..., n) of all."""
         out: Array = load * self.torque - self.back_emf * velocity
         return out
+
+
+def goal_windows(config: Config, model: RobotModel) -> Array:
+    """Return the goal windows of the joints, shape (n,) [rad].
+
+    They are ``servo.window``; of servos with a P register below `P_MOST` they are wider by as much as these are softer,
+    so that a goal at the edge of its window exerts the same torque.
+
+    Raises
+    ------
+    ConfigError
+        As `Servos.of`.
+    """
+    c = config.servo
+    windows, types = np.full(model.n, c.window), load_types(c.table) if c.types else {}
+    for joints, name in _entries("servo.types", c.types, model):
+        windows[joints] = c.window * (P_MOST / c.p_gain if types[name].p_register else 1.0)
+    return windows
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from dqwalk_ros.plants import servo_goals
 from dqwalk_ros.plants.poppy.plant import PoppyPlant
 from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
 from dqwalk_ros.robot.model import load_model
-from dqwalk_ros.robot.servos import Drive, Servos
+from dqwalk_ros.robot.servos import P_MOST, Drive, Servos, goal_windows
 
 CONFIG = load("poppy")
 MODEL = load_model(CONFIG.robot)
@@ -111,6 +111,33 @@ def test_a_goal_beyond_the_window_returns_with_its_time_constant(u: float, dt: f
         law.command(0.0 * knee, None, time, dt)
     remaining = np.sign(u) * (law.wanted - POSTURE)[KNEE] - window
     assert remaining == pytest.approx(math.exp(-1.0) * beyond)
+
+
+@pytest.mark.parametrize("u", [1.0, -1.0])
+def test_a_window_extends_by_the_lag_in_the_direction_of_motion_only(u: float) -> None:
+    """The goal of a joint that is blocked, then of one that is pulled ahead of its goal."""
+    window, lag, knee = 0.006, 0.03, np.eye(N)[KNEE]
+    law = law_of(settings(window=window, window_lag=lag))
+    for k in range(20):
+        law.measure(POSTURE, k * DT)
+        law.command(u * knee, None, k * DT, DT)
+    np.testing.assert_allclose((law.wanted - POSTURE)[KNEE], u * (window + lag), atol=1e-12)
+    law = law_of(settings(window=window, window_lag=lag))
+    for k in range(20):
+        pulled = POSTURE + 0.01 * u * k * knee
+        law.measure(pulled, k * DT)
+        law.command(1e-3 * u * knee, None, k * DT, DT)
+    np.testing.assert_allclose((pulled - law.wanted)[KNEE], u * window, atol=1e-12)
+
+
+def test_the_torque_at_the_edge_of_a_window_does_not_depend_on_the_p_gain() -> None:
+    types = [f"{name}={MOTORS[name].type}" for name in MODEL.joint_names]
+    stiff = settings(types=types, p_gain=P_MOST)
+    np.testing.assert_array_equal(goal_windows(stiff, MODEL), stiff.servo.window)
+    for gain in (127, 32):
+        soft = settings(types=types, p_gain=gain)
+        torques = [Servos.of(one, MODEL).stiffness * goal_windows(one, MODEL) for one in (soft, stiff)]
+        np.testing.assert_allclose(*torques, rtol=1e-12)
 
 
 @pytest.mark.parametrize("u", [1e3, -1e3, 1e300])
@@ -303,7 +330,9 @@ ALL = CONFIG.updated(
     {
         "dt": PERIOD,
         "servo.window": 0.01,
+        "servo.window_lag": 0.005,
         "servo.window_time": 0.01,
+        "servo.p_gain": 127,
         "servo.types": [f"{name}={MOTORS[name].type}" for name in MODEL.joint_names],
         "servo.assumed_latency": 0.04,
         "servo.assumed_rate": 50.0,

@@ -27,7 +27,7 @@ from dqwalk_ros.plants.poppy.motors import motors_of, typed
 from dqwalk_ros.plants.servo_goals import JUMPS, AngleGate, ServoGoals
 from dqwalk_ros.robot.limits import JointLimits
 from dqwalk_ros.robot.model import RobotModel, load_model
-from dqwalk_ros.robot.servos import Drive, Servos, load_types
+from dqwalk_ros.robot.servos import Drive, Servos, goal_windows, load_types
 from dqwalk_ros.support.arrays import Array
 from dqwalk_ros.support.errors import PlantError
 
@@ -92,8 +92,8 @@ class PoppyPlant(Plant):
         clock: Clock = time.monotonic,
         each: Callable[..., Iterable[Any]] | None = None,
     ) -> None:
-        own, types = config.poppy, load_types(config.servo.table)
-        self._model, self._config, self._window, self._clock = model, own, config.servo.window, clock
+        own, servo, types = config.poppy, config.servo, load_types(config.servo.table)
+        self._model, self._config, self._clock = model, own, clock
         self.motors, zero = motors_of(config, model)
         self.names = (*model.joint_names, *(name for name in self.motors if name not in model.joint_names))
         table = [self.motors[name] for name in self.names]
@@ -117,8 +117,11 @@ class PoppyPlant(Plant):
             stiffness[:] = 0.0
         speed, effort = np.append(model.velocity_max, fastest[n:]), np.append(model.effort_max, stall[n:])
         limits = JointLimits(self.names, low, high, speed, effort)
+        self._window = np.append(goal_windows(of_joints, model), np.full(every - n, servo.window))
         drive = replace(drive, stiffness=stiffness, lead=np.append(drive.lead, np.zeros(every - n)))
-        self._law = ServoGoals(self._gate, drive, limits, own.max_lead, window_time=config.servo.window_time)
+        self._law = ServoGoals(
+            self._gate, drive, limits, own.max_lead, window_lag=servo.window_lag, window_time=servo.window_time
+        )
 
         buses = buses if buses is not None else open_buses(self.motors, types, own, clock)
         self._buses = MotorBuses(dict(zip(self.names, table, strict=True)), kinds, buses, each)
@@ -290,7 +293,7 @@ class PoppyPlant(Plant):
                 "raise servo.p_gain or poppy.start_tolerance, then ~/activate"
             )
         if self.ready:
-            self._law.window = self._window
+            self._law.window[:] = self._window
 
     # ------------------------------------------------------------------ torque
 
@@ -315,7 +318,7 @@ class PoppyPlant(Plant):
             raise PlantError(self.watch.fault)
         self._buses.identify(self._config.motors)
         self._find_way()
-        self._law.window = self._config.max_lead
+        self._law.window[:] = self._config.max_lead
         self._law.begin()
         self._speed[:], self._arrived_at = 0.0, np.inf
         degrees = np.degrees(self.goal) + self._zero
