@@ -356,6 +356,37 @@ def test_a_foot_that_an_obstacle_stops_is_put_down() -> None:
         assert landed[0] < -0.005
 
 
+@pytest.mark.parametrize("dead", [True, False], ids=["of a dead plant", "before an obstacle"])
+def test_a_foot_that_rests_drops_the_footsteps_only_before_an_obstacle(dead: bool) -> None:
+    """A plant killed in mid-swing looks like an obstacle until its death is known, half a second later."""
+    config = CONFIG.updated({"gait.steps": 0, "qp.solver": "daqp"})
+    controller, dt = make_controller(config, MODEL), config.dt
+    walk, q, t = controller.walk, MODEL.posture(config.standing.posture), 0.0
+    assert isinstance(walk, StandingWalk)
+    command = controller.step(State(t, q, np.zeros(MODEL.n)), dt)
+    support = Foot(config.gait.first_support)
+    ahead = [walk.footsteps.step(foot, 0.03, 0.0, 0.0) for foot in (support, support.other, support)]
+    walk.place(support, ahead)
+    begun, rests, lives_at = [], False, math.inf
+    while len(begun) < 6 and t < 40.0:
+        t += dt
+        swings, met = controller.phase.swing_target is not None, "obstacle" in controller.phase.decision
+        rests = rests or (swings and t > controller.phase_began + 0.4 * config.standing.swing_duration)
+        if met and lives_at == math.inf:
+            lives_at = t + (0.5 if dead else 0.0)
+        if dead and 0.0 <= t - lives_at < dt:
+            t += 2.0  # its death is known, and the walk stands still
+        moves = np.zeros(MODEL.n) if rests and t < lives_at else command.velocity
+        q, index = q + dt * moves, controller.phase_index
+        command = controller.step(State(t, q, moves), dt)
+        if controller.phase_index > index:
+            begun.append((controller.phase.kind, walk.placed))
+    double, single = PhaseKind.DOUBLE_SUPPORT, PhaseKind.SINGLE_SUPPORT
+    put_down = [(single, 2), (single, 2)] if dead else [(single, 2)]  # again after the interruption
+    after = [(double, 2), (single, 1)] if dead else [(double, 0), (single, 0)]
+    assert begun[2 : 2 + len(put_down) + 2] == put_down + after
+
+
 def test_one_step_in_physics_stays_balanced() -> None:
     trace, plant = walked("physics", gait__steps=1)
     assert trace.finished, trace.notes
@@ -440,7 +471,8 @@ def test_an_unknown_plant_is_an_error() -> None:
         make_plant("fysics", CONFIG, MODEL)
 
 
-def test_an_interrupted_swing_continues_where_it_stopped() -> None:
+def test_an_interrupted_swing_begins_again_where_the_foot_is() -> None:
+    """Continued, its path would be ahead of a foot whose plant was dead for a while, as before an obstacle."""
     config = CONFIG.updated({"gait.steps": 1})
     model = dq.load_model(config.robot)
     controller, plant = make_controller(config, model), make_plant("physics", config, model)
@@ -448,12 +480,16 @@ def test_an_interrupted_swing_continues_where_it_stopped() -> None:
     while controller.phase_index < 1 or state.time < controller.phase_began + 0.5:
         command = controller.step(state, config.dt)
         state = plant.step(command, config.dt)
-    began, speed = controller.phase_began, np.abs(state.dq).max()
+    target, speed = controller.phase.swing_target, np.abs(state.dq).max()
     for _ in range(round(config.plant.command_timeout / config.dt) - 1):
         state = plant.step(command, config.dt)
     command = controller.step(State(state.time + 60.0, state.q), config.dt)
-    assert controller.phase_index == 1
-    assert controller.phase_began == pytest.approx(began + 60.0)
+    assert controller.phase_began == pytest.approx(state.time + 60.0)
+    assert controller.phase.swing_target == pytest.approx(target)
+    kin = Kinematics.measured(model, state.q, controller.phase.base, None)
+    swing = controller.phase.tasks[0]
+    assert isinstance(swing, SwingPath)
+    assert swing.start == pytest.approx(kin.pose(kin.swing), abs=1e-9)
     assert np.abs(command.velocity).max() < 1.2 * speed  # it does not catch up
 
 

@@ -42,6 +42,7 @@ class StandingWalk(SteppingWalk):
         self._requested = config  # from the next phase on
         self._balance: Balance | None = None
         self._drive = Drive.of(config, model)
+        self._stopped_short = False  # an obstacle has stopped the foot that has not landed yet
 
     @staticmethod
     def phases(config: Config) -> int:
@@ -79,9 +80,13 @@ class StandingWalk(SteppingWalk):
             over = not self._planned and (steps or self._stopping)
             return None if over else Next(PhaseKind.DOUBLE_SUPPORT, self._leading())
         if phase.kind is PhaseKind.SINGLE_SUPPORT:
-            after = Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
             in_the_air = isinstance(phase.rule, PathEnd) and phase.rule.stopped
-            return self._on_its_feet(kin) or after if in_the_air else after
+            if in_the_air and (down := self._on_its_feet(kin)) is not None:
+                return down
+            if self._stopped_short:
+                self._stopped_short = False
+                self._planned.clear()
+            return Next(PhaseKind.STANCE if self._together else PhaseKind.DOUBLE_SUPPORT, phase.support.other)
         if self._planned:
             target = self._next_footprint(kin)
             self._together = not self._planned
@@ -97,24 +102,29 @@ class StandingWalk(SteppingWalk):
         self._drive = drive
 
     def observe(self, phase: Phase, kin: Kinematics, state: Estimate) -> Change | None:
-        """End a swing that an obstacle stops; the next phase puts the foot down where it is."""
+        """End a swing that an obstacle stops; the next phase puts the foot down where it is.
+
+        Commanded footsteps are dropped when it has landed: until then the plant may turn out to be dead (`restarts`).
+        """
         change = super().observe(phase, kin, state)
         swing, rule = phase.tasks[0], phase.rule
         if isinstance(swing, SwingPath) and isinstance(rule, PathEnd):
             rule.stopped = bool(phase.decision)  # at the next state, so that the decision is seen
             stopped = self._stopped(phase, kin, state, *swing.at(state.elapsed), self._drive.delay, _STOPPED)
             if stopped and not rule.stopped:
-                self._planned.clear()
+                self._stopped_short = True
                 return stopped
         return change
 
     def restarts(self, phase: Phase) -> float | None:
-        """Return ``standing.transfer_duration`` in double support, None in single support.
+        """Return ``standing.transfer_duration`` in double support, 0 in single support.
 
         After an interruption the CoM is at rest: continuing at the velocity of the path would tip the robot. On soft
-        servos it needs this time to come to rest.
+        servos it needs this time to come to rest. A swing begins again where the foot is: on its path it would be
+        behind by what a plant that was killed has missed, as before an obstacle, for which nothing is dropped either.
         """
-        return None if phase.kind is PhaseKind.SINGLE_SUPPORT else self.config.standing.transfer_duration
+        self._stopped_short = False
+        return 0.0 if phase.kind is PhaseKind.SINGLE_SUPPORT else self.config.standing.transfer_duration
 
     def _step(self) -> tuple[float, float, float] | None:
         """Return length, side [m] and turn [rad] of the next step; None if the feet are to be put together."""
