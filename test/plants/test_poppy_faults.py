@@ -81,12 +81,17 @@ def send_garbage(servos: FaultyServos) -> None:
     servos.garbage = 1.0
 
 
+def send_false_headers(servos: FaultyServos) -> None:
+    servos.noise = lambda: bytes([255, 255, 1, 2, 0])
+
+
 BUS = {
     "the bus is silent": (stop_answering, "lower bus: every motor does not answer; is the power on"),
     "one motor is silent": (silence_one_motor, "l_knee_y (motor 14, lower bus) does not answer; check its cable"),
     "the port is unplugged": (unplug, "lower bus: the port is gone: No such file or directory; plug it in"),
     "one bit of each reply is flipped": (flip_bits, "lower bus: every motor"),
     "replies are random bytes": (send_garbage, "lower bus: every motor"),
+    "each reply follows the beginning of another": (send_false_headers, "lower bus: every motor"),
 }
 
 
@@ -103,6 +108,18 @@ def test_old_angles_are_not_marked_fresh_and_nothing_moves(rig: Rig, fault: str)
         assert not rig.plant.fresh
     assert text in rig.faults
     check_holds(rig, 1.0)
+
+
+@read_either_way
+def test_noise_that_leaves_the_replies_intact_changes_nothing(rig: Rig) -> None:
+    for servos in rig.memory.servos.values():
+        servos.noise = lambda rng=servos.rng: rng.randbytes(rng.randint(1, 12))
+    rig.settle()
+    for _ in range(200):
+        rig.tick(0.3)
+        assert rig.plant.fresh
+    assert not rig.faults
+    check_moves(rig)
 
 
 def test_each_register_is_written_with_its_own_length(rig: Rig) -> None:

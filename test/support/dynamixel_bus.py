@@ -45,6 +45,8 @@ class FaultyServos(EmulatedServos):
         Fraction of the replies with one flipped bit.
     garbage : float
         Fraction of the replies replaced by random bytes.
+    noise : callable
+        Returns the bytes that arrive before a reply.
     drop_reply : callable
         Given an instruction packet, returns whether its reply is lost.
     slip : dict of int to float
@@ -64,6 +66,7 @@ class FaultyServos(EmulatedServos):
         self.dead = self.unplugged = False
         self.silent: set[int] = set()
         self.damaged = self.garbage = 0.0
+        self.noise: Callable[[], bytes] = lambda: b""
         self.slip: dict[int, float] = {}
         self.drop_reply: Callable[[bytes], bool] = lambda packet: False
         for servo in self.servos.values():
@@ -90,7 +93,7 @@ class FaultyServos(EmulatedServos):
             words = bytearray(out)
             words[self.rng.randrange(len(words))] ^= 1 << self.rng.randrange(8)
             return bytes(words)
-        return self.rng.randbytes(len(out)) if self.rng.random() < self.garbage else out
+        return self.noise() + (self.rng.randbytes(len(out)) if self.rng.random() < self.garbage else out)
 
     def read(self, number: int, address: int, length: int) -> bytes | None:
         out = super().read(number, address, length)
