@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from dqwalk_ros.adopt.anatomy import Anatomy, distances
 from dqwalk_ros.adopt.parameters import LEAST, LONGEST, MOST_LEAN, Numbers, com_threshold
-from dqwalk_ros.adopt.posture import over_one_foot, stand, why_not
+from dqwalk_ros.adopt.posture import at_limits, over_one_foot, stand, why_not
 from dqwalk_ros.adopt.skeleton import Entry
 from dqwalk_ros.paper.foot import Foot
 from dqwalk_ros.robot.model import RobotModel
@@ -18,6 +18,9 @@ _OVER = 0.1
 _LONG = 0.66
 """Least length of a step, as a fraction of the usual one, for which the soles are not placed closer."""
 
+_SQUAT = 0.2
+"""Largest difference of the length of a leg from the wanted one, as a fraction of this, for which soles stand wider."""
+
 
 def find_stance(model: RobotModel, anatomy: Anatomy) -> Numbers:
     """Return the quantities of the walk.
@@ -25,17 +28,18 @@ def find_stance(model: RobotModel, anatomy: Anatomy) -> Numbers:
     Where joints are at their limits with the soles as far apart as in the zero posture, the soles are closer: so close
     that the CoM reaches the middle of one sole, and the legs make steps of two thirds of the usual length, or else the
     longest; where the CoM reaches it at no distance, it is that at which it comes nearest. They are wider where the
-    robot walks at none of these distances, as with hips whose range excludes the zero posture.
+    robot walks at none of these distances, as with hips whose range excludes the zero posture, or stands with joints at
+    their limits at all of them, as with hips that roll outwards from it only: a walk cannot move on from there.
 
     Raises
     ------
     ModelError
         If the robot cannot stand on both feet.
     """
-    problem, possible = None, list[tuple[bool, bool, float, Numbers]]()
+    problem, possible = None, list[tuple[bool, bool, bool, float, Numbers]]()
     usual, *others = distances(anatomy)
     for apart in (usual, *others):
-        if apart > usual and any(stands for stands, *_ in possible):
+        if apart > usual and any(walks and free for walks, _, free, *_ in possible):
             break
         why = f"{'wider' if apart > usual else 'closer'} than in the zero posture, where joints are at their limits"
         more = (Entry("distance of the soles", f"{1e3 * apart:.0f} mm", why, "likely"),) if apart != usual else ()
@@ -46,11 +50,15 @@ def find_stance(model: RobotModel, anatomy: Anatomy) -> Numbers:
             problem = problem or error
             continue
         over = deviation < _OVER * com_threshold(anatomy.leg)
-        if over and numbers.step > _LONG * LONGEST * anatomy.leg:
+        standing = numbers.standing
+        free = standing.margin > 0.0 or not at_limits(model, standing)
+        free &= apart <= usual or standing.off < _SQUAT
+        step = min(numbers.step, _LONG * LONGEST * anatomy.leg)
+        if over and free and step < numbers.step:
             return numbers
-        possible.append((not numbers.hindrance, over, numbers.step if over else -deviation, numbers))
+        possible.append((not numbers.hindrance, over, free, step if over else -deviation, numbers))
     if possible:
-        return max(possible, key=lambda one: one[:3])[3]
+        return max(possible, key=lambda one: one[:4])[4]
     assert problem is not None
     raise problem
 

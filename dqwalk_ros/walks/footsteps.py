@@ -27,8 +27,12 @@ _KEPT, _POSTURE = 30.0, 1e-3
 """Weights of the residuals that must vanish, and of the standing posture [m/rad], relative to the distance."""
 _UPRIGHT, _FREE = [2, 3, 4], [0, 1, 5]
 _FREE_WEIGHT = np.array([1.0, 1.0, _LEVER])
-_STEPS, _STILL, _DAMPING = 60, 1e-5, 1e-4
-"""Levenberg-Marquardt method: largest number of iterations, change at which it ends [m], and least damping."""
+_SEARCHES = (60, 1e-5, False), (200, 1e-6, True)
+"""Largest number of iterations of a search, change at which it ends [m], and whether its steps are curved: the second
+one goes on where the first one leaves the place out of reach, as with joints at their limits. A dynamic walk, whose
+steps have their time, has no second one: it does not get into postures so far from that in which it stands."""
+_DAMPING = 1e-4
+"""Least damping of the Levenberg-Marquardt method."""
 _ROWS = 18
 """Number of the residuals before those of the posture."""
 _STAIR = 1.5
@@ -314,37 +318,58 @@ class Footsteps:
             J[_ROWS:] = _POSTURE * np.eye(2 * n)
             return e, J
 
-        q, e = _least_squares(residual, q_ref, low, high)
-        at_limit = ((q <= low + 1e-6) | (q >= high - 1e-6)).reshape(2, n).any(axis=0)
-        joints = tuple(model.joint_names[i] for i in np.flatnonzero(at_limit))
-        kept = [0, 1, 2, 6, 7, 8, 9, 10, 14, 15, 16, 17]  # of the residuals
-        missed = float(np.abs(e[kept]).max()) / _KEPT
-        return Reached(flat(Kinematics(model, q[:n], support).pose(frame), level), q[:n], joints, missed)
+        q = q_ref
+        for iterations, still, curved in _SEARCHES if tall is None else _SEARCHES[:1]:
+            q, e = _least_squares(residual, q, low, high, iterations, still, curved)
+            at_limit = ((q <= low + 1e-6) | (q >= high - 1e-6)).reshape(2, n).any(axis=0)
+            joints = tuple(model.joint_names[i] for i in np.flatnonzero(at_limit))
+            kept = [0, 1, 2, 6, 7, 8, 9, 10, 14, 15, 16, 17]  # of the residuals
+            missed = float(np.abs(e[kept]).max()) / _KEPT
+            pose = flat(Kinematics(model, q[:n], support).pose(frame), level)
+            reached = Reached(pose, q[:n], joints, missed)
+            if not self._out_of_reach(reached, wanted):
+                break
+        return reached
 
 
 def _least_squares(
-    residual: Callable[[Array], tuple[Array, Array]], q: Array, low: Array, high: Array
+    residual: Callable[[Array], tuple[Array, Array]],
+    q: Array,
+    low: Array,
+    high: Array,
+    iterations: int,
+    still: float,
+    curved: bool,
 ) -> tuple[Array, Array]:
     """Return q (m,) within its limits at the least norm of its residual, and this residual (k,).
 
     The Levenberg-Marquardt method with the limits as an active set; `residual` returns e (k,) and its Jacobian (k, m).
+    It ends after the `iterations`, or where the residual changes by less than `still` [m]. A `curved` step is corrected
+    by what the residual deviates from its linear model: much longer ones are possible then where heavy residuals must
+    vanish [Transtrum & Sethna, geodesic acceleration, arXiv:1201.5885].
     """
     damping, (e, J) = _DAMPING, residual(q)
-    for _ in range(_STEPS):
+    for _ in range(iterations):
         gradient = J.T @ e
         stuck = ((q <= low) & (gradient > 0.0)) | ((q >= high) & (gradient < 0.0))
         free = np.flatnonzero(~stuck)
         step = np.zeros(len(q))
-        H = J[:, free].T @ J[:, free]
-        step[free] = np.linalg.solve(H + damping * np.eye(len(free)), -gradient[free])
+        H = J[:, free].T @ J[:, free] + damping * np.eye(len(free))
+        step[free] = np.linalg.solve(H, -gradient[free])
         moved = np.clip(q + step, low, high)
         e_moved, J_moved = residual(moved)
+        if curved:
+            step[free] = np.linalg.solve(H, -J[:, free].T @ (e_moved - e - J @ (moved - q)))
+            bent = np.clip(moved + step, low, high)
+            e_bent, J_bent = residual(bent)
+            if e_bent @ e_bent < e_moved @ e_moved:
+                moved, e_moved, J_moved = bent, e_bent, J_bent
         if e_moved @ e_moved >= e @ e:
             damping *= 10.0
             if damping > 1e6:
                 break
             continue
-        done = np.abs(e_moved - e)[:_ROWS].max() < _STILL
+        done = np.abs(e_moved - e)[:_ROWS].max() < still
         q, e, J, damping = moved, e_moved, J_moved, max(0.2 * damping, _DAMPING)
         if done:
             break

@@ -16,11 +16,20 @@ from dqwalk_ros.adopt.anatomy import distances
 from dqwalk_ros.adopt.check import check
 from dqwalk_ros.adopt.parameters import Numbers
 from dqwalk_ros.adopt.posture import Standing, stand
-from dqwalk_ros.config import load
+from dqwalk_ros.adopt.stance import find_stance
+from dqwalk_ros.config import Config, load
 from dqwalk_ros.paper.foot import Foot
-from dqwalk_ros.robot.model import load_model
+from dqwalk_ros.paper.kinematics import Kinematics
+from dqwalk_ros.robot.model import RobotModel, load_model
 from dqwalk_ros.robot.urdf import Urdf
 from dqwalk_ros.support.errors import ModelError
+from dqwalk_ros.walks.footsteps import Footsteps
+
+
+def legs_of(urdf: Urdf) -> RobotModel:
+    """Return the model of which only the legs move."""
+    legs = {joint for names in anatomy_of(urdf).legs.values() for joint in names}
+    return small_model(urdf, lock=tuple(set(small_model(urdf).joint_names) - legs))
 
 
 def test_skew_hips_stand_on_level_soles(tmp_path: Path) -> None:
@@ -31,9 +40,7 @@ def test_skew_hips_stand_on_level_soles(tmp_path: Path) -> None:
     found = anatomy_of(urdf)
     assert found.kinds == "SSPPPR"
     assert (found.sideways, found.turns) == (True, True)
-    legs = {joint for names in found.legs.values() for joint in names}
-    model = small_model(urdf, lock=tuple(set(small_model(urdf).joint_names) - legs))
-    assert stand(model, found).error < 1e-3
+    assert stand(legs_of(urdf), found).error < 1e-3
 
 
 def test_steps_are_as_long_as_the_legs_reach_and_the_joints_in_the_way_are_named(tmp_path: Path) -> None:
@@ -83,6 +90,29 @@ def test_soles_are_as_wide_as_hips_that_roll_outwards_only_require(tmp_path: Pat
     assert not found.findings
     assert found.anatomy.apart == pytest.approx(1.15 * usual, rel=1e-3)
     assert any("wider than in the zero posture" in entry.source for entry in found.anatomy.evidence)
+
+
+def test_soles_are_wider_where_the_robot_stands_with_joints_at_their_limits(tmp_path: Path) -> None:
+    """Hips that roll outwards from the zero posture only, as those of iCub Heidelberg01: there its walk stalls."""
+    urdf = rolls(tmp_path, 0.0, 0.6, 0.5)
+    model = legs_of(urdf)
+    kin = Kinematics(model, np.zeros(model.n), Foot.LEFT)
+    zero = replace(anatomy_of(urdf), apart=float(-kin.point(model.soles[Foot.RIGHT].frame)[1]))
+    assert posture.at_limits(model, stand(model, zero))
+    found = find_stance(model, zero)
+    assert found.anatomy.apart == pytest.approx(1.3 * zero.apart, rel=1e-3)
+    assert found.standing.off < 0.2  # at 1.15 it squats
+    assert not posture.at_limits(model, replace(found.standing, margin=0.0))
+
+
+def test_hips_that_hardly_roll_inwards_do_not_keep_the_feet_from_their_places(tmp_path: Path) -> None:
+    """The postures with the CoM over one sole are far from that in which the robot stands, but the legs reach them."""
+    urdf = rolls(tmp_path, 0.05, 0.6, 0.3)
+    found = find_stance(legs_of(urdf), anatomy_of(urdf))
+    assert (found.hindrance, found.anatomy.apart) == ("", anatomy_of(urdf).apart)
+    assert found.step > 0.02
+    walk = Config().updated({"gait.step_width": found.anatomy.apart})
+    assert not Footsteps(walk, found.model, found.standing.q).not_beside()
 
 
 @pytest.mark.parametrize(
