@@ -6,27 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from gates import DT, MS, PERIOD, at, gate_of
 from stepped_time import SteppedTime
 
 from dqwalk_ros.nodes.inertial_gate import Felt, InertialGate
-from dqwalk_ros.nodes.state_gate import StateGate
-from dqwalk_ros.paper.state import State
 from dqwalk_ros.paper.statics import GRAVITY
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import StateError
-
-DT = 0.005
-MS = 1_000_000
-PERIOD = 5 * MS
-
-
-def at(q: np.ndarray, dq: np.ndarray | None = None) -> State:
-    return State(0.0, q, dq)
-
-
-def gate_of(model: RobotModel, clock: SteppedTime, **options: object) -> StateGate:
-    return StateGate(model, DT, lambda: 0.1, clock=clock, **options)  # type: ignore[arg-type]
-
 
 TURNING = np.array([0.7, -0.4, 0.3])
 

@@ -8,25 +8,13 @@ import math
 
 import numpy as np
 import pytest
+from gates import DT, PERIOD, at, gate_of
 from stepped_time import SteppedTime
 
 from dqwalk_ros.nodes.state_gate import StateGate
-from dqwalk_ros.paper.state import State
 from dqwalk_ros.robot.limits import FASTEST, outside_limits
 from dqwalk_ros.robot.model import RobotModel
 from dqwalk_ros.support.errors import StateError
-
-DT = 0.005
-MS = 1_000_000
-PERIOD = 5 * MS
-
-
-def at(q: np.ndarray, dq: np.ndarray | None = None) -> State:
-    return State(0.0, q, dq)
-
-
-def gate_of(model: RobotModel, clock: SteppedTime, **options: object) -> StateGate:
-    return StateGate(model, DT, lambda: 0.1, clock=clock, **options)  # type: ignore[arg-type]
 
 
 def test_states_of_a_walk_are_accepted(model: RobotModel, clock: SteppedTime) -> None:

@@ -7,21 +7,13 @@ import math
 
 import numpy as np
 import pytest
+from gates import DT, PERIOD, at
 from stepped_time import SteppedTime
 
 from dqwalk_ros.config import load
-from dqwalk_ros.paper.state import State
 from dqwalk_ros.robot.model import load_model
 from dqwalk_ros.support.errors import StateError
 from dqwalk_ros.whole_body.nodes.body_gate import BodyGate
-
-DT = 0.005
-MS = 1_000_000
-PERIOD = 5 * MS
-
-
-def at(q: np.ndarray, dq: np.ndarray | None = None) -> State:
-    return State(0.0, q, dq)
 
 
 def take(gate: BodyGate, stamp: int, q: np.ndarray, dq: np.ndarray, place: np.ndarray, v_base: np.ndarray) -> None:
