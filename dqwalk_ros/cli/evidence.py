@@ -44,6 +44,7 @@ examples:
   dqwalk evidence ground --config adopted/dynamic.yaml           the same for another robot, in proportion to its legs
   dqwalk evidence obstacles                                      rubble, steps, stairs, obstacles
   dqwalk evidence arms                                           free arms, loads, and random poses of the hands
+  dqwalk evidence as_built                                       the as-built Poppy with more seeds, pushes
   dqwalk evidence --sample 2                                     two walks of each row in each engine
   dqwalk evidence --engine physics --jobs 8                      without Drake
   dqwalk evidence --engine drake --row '5 m MX*'                 some rows only

@@ -133,7 +133,7 @@ def read(path: str) -> dict[str, Row]:
     ConfigError
         If the file or one of the configurations is invalid.
     """
-    file = find_file("file of rows", path, "config", ("evidence", "ground", "obstacles", "arms"))
+    file = find_file("file of rows", path, "config", ("evidence", "ground", "obstacles", "arms", "as_built"))
     try:
         read = msgspec.convert(strict_yaml.read(strict_yaml.read_text(file), source=str(file)), _File)
     except msgspec.ValidationError as error:

@@ -35,6 +35,7 @@ def test_the_shipped_rows_are_valid_and_each_is_walked_in_every_engine() -> None
     assert len(every) == 2 * sum(64 if row.push and not row.anywhere else row.seeds for row in rows.values())
     assert len(points(read("arms"), ["physics"])) == 160
     assert len(points(read("obstacles"), ["physics"])) == 1005
+    assert len(points(read("as_built"), ["physics"])) == 624
     sample = points(rows, ("physics", "drake"), 2)
     kept = {
         engine: [{**one, "engine": ""} for one in sample if one["engine"] == engine] for engine in ("physics", "drake")
